@@ -1,0 +1,23 @@
+//! What a haptic tick decides, and nothing else.
+//!
+//! A knob is read every sample period through an encoder, a torque is computed, and
+//! held until the next sample. This crate holds that computation: the
+//! [`encoder`] as the controller sees it, the [sampled spring](spring), the
+//! [passivity criterion](criterion) and the [tick] that joins them. It knows no board, no wire and no
+//! plant, uses no allocation, and the tick cannot panic.
+//!
+//! Quantities are in SI units; a bare number carries its unit in its name. Equation
+//! numbers in brackets are those of Diolaiti, Niemeyer, Barbagli, Salisbury, "A
+//! Criterion for the Passivity of Haptic Devices" (2005).
+#![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+
+pub mod criterion;
+pub mod encoder;
+mod error;
+mod real;
+pub mod spring;
+pub mod tick;
+
+pub use error::ConfigError;
+pub use real::Real;

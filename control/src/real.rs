@@ -1,0 +1,32 @@
+use core::ops::{Add, Div, Mul, Neg, Sub};
+
+/// The number a law is written in: `f32` in the tick, `f64` in the analysis.
+///
+/// Only + − × ÷ and comparison are asked for. They are correctly rounded
+/// everywhere, so a law written with them gives the same bits on the host and on
+/// the chip.
+pub trait Real:
+    Copy
+    + PartialOrd
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + From<f32>
+    + Into<f64>
+{
+}
+
+impl Real for f32 {}
+impl Real for f64 {}
+
+/// |x|.
+pub(crate) fn magnitude<T: Real>(x: T) -> T {
+    if x < T::from(0.0) { -x } else { x }
+}
+
+/// The smaller of two numbers that are not NaN.
+pub(crate) fn smaller<T: Real>(a: T, b: T) -> T {
+    if b < a { b } else { a }
+}

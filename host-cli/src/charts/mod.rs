@@ -1,0 +1,8 @@
+//! Pictures, as SVG.
+
+pub mod figures;
+pub mod map;
+pub mod plan;
+pub mod plane;
+pub mod run;
+mod style;

@@ -1,0 +1,359 @@
+//! `knob plan`: how stiff can this device be, and what would a wanted stiffness need.
+//!
+//! The paper's conclusion as a tool: "the criterion can be used as a guideline in the
+//! dimensioning of the components of a haptic device, establishing the motor
+//! parameters, encoder resolution, and servo rate necessary to achieve the desired
+//! stiffness" (Sec. VI).
+
+use std::f64::consts::{PI, TAU};
+use std::path::PathBuf;
+
+use anyhow::Result;
+use control::criterion::{Criterion, Dimensionless, Sampling};
+use plant_sim::preset::{PRESETS, Preset, preset};
+use serde::Serialize;
+
+use crate::charts::plan::PlanChart;
+use crate::output::Output;
+use crate::{number, scene};
+
+/// How stiff can this device be, and what would a wanted stiffness need?
+///
+/// The device comes from --motor or from a file with the tables [device] and [loop] of a
+/// scene; without either it is the paper's RE35.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  knob plan --motor re35 --stiffness 1\n  knob plan my-knob.toml --plot plan.svg"
+)]
+pub struct Args {
+    /// A device file (TOML): [device] and [loop], as in a scene
+    #[arg(value_name = "DEVICE.toml", conflicts_with = "motor")]
+    device: Option<PathBuf>,
+    /// A known device
+    #[arg(long, value_name = "NAME", value_parser = motor)]
+    motor: Option<&'static Preset>,
+    /// A wanted stiffness, Nm/rad
+    #[arg(long, value_name = "K", value_parser = number::positive)]
+    stiffness: Option<f64>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Draw stiffness against speed, and the device in the (β, σ) plane
+    #[arg(long, value_name = "OUT.svg")]
+    plot: Option<PathBuf>,
+    /// Replace files that exist
+    #[arg(long)]
+    force: bool,
+}
+
+fn motor(name: &str) -> Result<&'static Preset, String> {
+    let known: Vec<&str> = PRESETS.iter().map(|preset| preset.name).collect();
+    preset(name).ok_or_else(|| {
+        format!(
+            "no motor is called `{name}`; accepted: {}",
+            known.join(", ")
+        )
+    })
+}
+
+/// Speeds that a hand makes, from a slow turn to a flick, rad/s.
+const SPEEDS_RAD_S: [f64; 6] = [0.1, 0.3, 1.0, 3.0, 10.0, 30.0];
+
+#[derive(Serialize)]
+pub struct Plan {
+    name: String,
+    source: String,
+    inertia_kg_m2: f64,
+    viscous_nm_s_rad: f64,
+    coulomb_nm: f64,
+    counts_per_rev: f64,
+    count_rad: f64,
+    sample_period_s: f64,
+    /// 2b/T.
+    viscous_limit_nm_rad: f64,
+    /// 2c/Δ.
+    coulomb_limit_nm_rad: f64,
+    /// The smaller of the two: passive at every speed.
+    largest_stiffness_nm_rad: f64,
+    at_speed: Vec<AtSpeed>,
+    wanted: Option<Wanted>,
+    #[serde(skip)]
+    criterion: Criterion<f64>,
+}
+
+/// How stiff at one speed.
+#[derive(Serialize)]
+struct AtSpeed {
+    speed_rad_s: f64,
+    /// By [11]; also at most 2c/Δ, or it never comes to rest.
+    largest_stiffness_nm_rad: f64,
+    /// Where oscillation is expected to grow; an estimate, not a guarantee.
+    describing_function_nm_rad: f64,
+}
+
+/// A wanted stiffness against this device.
+#[derive(Serialize)]
+struct Wanted {
+    stiffness_nm_rad: f64,
+    mu: f64,
+    beta: f64,
+    sigma: f64,
+    region: char,
+    passive_at_every_speed: bool,
+    /// Up to which speed [11] holds; null: at every speed, or at none (region b, c).
+    passive_up_to_rad_s: Option<f64>,
+    /// What passivity at every speed asks for, all of it together.
+    every_speed: Everything,
+    /// What each speed asks for if one thing alone is changed.
+    one_change: Vec<OneChange>,
+}
+
+#[derive(Serialize)]
+struct Everything {
+    sample_period_s_at_most: f64,
+    counts_per_rev_at_least: f64,
+    viscous_nm_s_rad_at_least: f64,
+    coulomb_nm_at_least: f64,
+}
+
+/// What would do, changed alone, at one speed; null where it alone cannot.
+#[derive(Serialize)]
+struct OneChange {
+    speed_rad_s: f64,
+    passive_as_it_is: bool,
+    sample_period_s_at_most: Option<f64>,
+    counts_per_rev_at_least: Option<f64>,
+    viscous_nm_s_rad_at_least: f64,
+    coulomb_nm_at_least: f64,
+}
+
+pub fn run(args: &Args) -> Result<()> {
+    let plot = match &args.plot {
+        Some(path) => Some(Output::prepare("--plot", path, args.force)?),
+        None => None,
+    };
+    let plan = match &args.device {
+        Some(path) => {
+            let file = scene::load_device(path)?;
+            let name = path
+                .file_stem()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned();
+            let sampling = Sampling {
+                period_s: file.period_s,
+                count_rad: file.count_rad(),
+            };
+            let criterion = Criterion::new(file.device, sampling)?;
+            Plan::new(name, path.display().to_string(), criterion, args.stiffness)
+        }
+        None => {
+            let known = args.motor.unwrap_or(&PRESETS[0]);
+            let sampling = Sampling {
+                period_s: known.period_s,
+                count_rad: known.count_rad(),
+            };
+            let criterion = Criterion::new(known.device, sampling)?;
+            Plan::new(
+                known.name.into(),
+                known.source.into(),
+                criterion,
+                args.stiffness,
+            )
+        }
+    };
+    if let Some(output) = &plot {
+        output.write(
+            PlanChart::new(&plan.name, plan.criterion, args.stiffness)
+                .svg()?
+                .as_bytes(),
+        )?;
+    }
+    if args.json {
+        println!("{}", serde_json::to_string(&plan)?);
+        return Ok(());
+    }
+    plan.print();
+    if let Some(output) = &plot {
+        println!("\nwrote {}", output.path().display());
+    }
+    Ok(())
+}
+
+/// The stiffness at which the describing function expects growth at a speed:
+/// β + 4σ/(π v₀) = ½ solved for K, (2/T)(b + 4c/(π v)), Nm/rad.
+pub fn describing_function_stiffness(criterion: &Criterion<f64>, speed_rad_s: f64) -> f64 {
+    let device = criterion.device();
+    2.0 / criterion.sampling().period_s
+        * (device.viscous_nm_s_rad + 4.0 * device.coulomb_nm / (PI * speed_rad_s))
+}
+
+impl Plan {
+    fn new(name: String, source: String, criterion: Criterion<f64>, wanted: Option<f64>) -> Self {
+        let device = criterion.device();
+        let sampling = criterion.sampling();
+        let at_speed = SPEEDS_RAD_S.map(|speed_rad_s| AtSpeed {
+            speed_rad_s,
+            largest_stiffness_nm_rad: criterion
+                .largest_stiffness_at(speed_rad_s)
+                .min(criterion.coulomb_limit()),
+            describing_function_nm_rad: describing_function_stiffness(&criterion, speed_rad_s),
+        });
+        Self {
+            name,
+            source,
+            inertia_kg_m2: device.inertia_kg_m2,
+            viscous_nm_s_rad: device.viscous_nm_s_rad,
+            coulomb_nm: device.coulomb_nm,
+            counts_per_rev: TAU / sampling.count_rad,
+            count_rad: sampling.count_rad,
+            sample_period_s: sampling.period_s,
+            viscous_limit_nm_rad: criterion.viscous_limit(),
+            coulomb_limit_nm_rad: criterion.coulomb_limit(),
+            largest_stiffness_nm_rad: criterion.largest_stiffness(),
+            at_speed: at_speed.into(),
+            wanted: wanted.map(|stiffness| Wanted::new(&criterion, stiffness)),
+            criterion,
+        }
+    }
+
+    fn print(&self) {
+        println!("{}: {}", self.name, self.source);
+        println!(
+            "  inertia {} kg m², viscous friction {} Nm s/rad, Coulomb friction {} Nm",
+            self.inertia_kg_m2, self.viscous_nm_s_rad, self.coulomb_nm
+        );
+        println!(
+            "  {} counts/rev (Δ = {:.4e} rad), sample period {} s",
+            self.counts_per_rev, self.count_rad, self.sample_period_s
+        );
+        println!("\nHow stiff can it be, Nm/rad?");
+        println!(
+            "  sampling and viscous friction, 2b/T:   {:>10.4}",
+            self.viscous_limit_nm_rad
+        );
+        println!(
+            "  encoder and Coulomb friction, 2c/Δ:    {:>10.4}",
+            self.coulomb_limit_nm_rad
+        );
+        println!(
+            "  passive at every speed (the smaller):  {:>10.4}",
+            self.largest_stiffness_nm_rad
+        );
+        println!("  at a speed:      passive, by [11]   grows from about (an estimate)");
+        for at in &self.at_speed {
+            println!(
+                "  {:>6} rad/s        {:>10.4}          {:>10.4}",
+                at.speed_rad_s, at.largest_stiffness_nm_rad, at.describing_function_nm_rad
+            );
+        }
+        if let Some(wanted) = &self.wanted {
+            wanted.print(self);
+        }
+    }
+}
+
+impl Wanted {
+    fn new(criterion: &Criterion<f64>, stiffness: f64) -> Self {
+        let device = criterion.device();
+        let (b, c) = (device.viscous_nm_s_rad, device.coulomb_nm);
+        let sampling = criterion.sampling();
+        let (period, count) = (sampling.period_s, sampling.count_rad);
+        let point: Dimensionless<f64> = criterion.dimensionless(stiffness);
+        let passive = stiffness <= criterion.largest_stiffness();
+        let threshold = criterion.power_margin_nm(stiffness, 0.0) / (0.5 * stiffness * period - b);
+        let one_change = SPEEDS_RAD_S.map(|v| {
+            let period_left = 2.0 * (b * v + c - 0.5 * stiffness * count) / (stiffness * v);
+            let count_left = 2.0 * (b * v + c - 0.5 * stiffness * period * v) / stiffness;
+            OneChange {
+                speed_rad_s: v,
+                passive_as_it_is: criterion.power_margin_nm(stiffness, v) >= 0.0
+                    && stiffness <= criterion.coulomb_limit(),
+                // Below 2c/Δ only: else it never rests, whatever the period.
+                sample_period_s_at_most: (period_left > 0.0
+                    && stiffness <= criterion.coulomb_limit())
+                .then_some(period_left),
+                counts_per_rev_at_least: (count_left > 0.0)
+                    .then(|| TAU / count_left.min(2.0 * c / stiffness)),
+                viscous_nm_s_rad_at_least: (0.5 * stiffness * period
+                    - (c - 0.5 * stiffness * count) / v)
+                    .max(0.0),
+                coulomb_nm_at_least: (0.5 * stiffness * count + (0.5 * stiffness * period - b) * v)
+                    .max(0.5 * stiffness * count),
+            }
+        });
+        Self {
+            stiffness_nm_rad: stiffness,
+            mu: point.mu,
+            beta: point.beta,
+            sigma: point.sigma,
+            region: point.region().letter(),
+            passive_at_every_speed: passive,
+            passive_up_to_rad_s: (point.region().letter() == 'd').then_some(threshold),
+            every_speed: Everything {
+                sample_period_s_at_most: 2.0 * b / stiffness,
+                counts_per_rev_at_least: PI * stiffness / c,
+                viscous_nm_s_rad_at_least: 0.5 * stiffness * period,
+                coulomb_nm_at_least: 0.5 * stiffness * count,
+            },
+            one_change: one_change.into(),
+        }
+    }
+
+    fn print(&self, plan: &Plan) {
+        println!("\nWhat would {} Nm/rad need?", self.stiffness_nm_rad);
+        println!(
+            "  β = {:.4}, σ = {:.4}, μ = {:.4}: region ({})",
+            self.beta, self.sigma, self.mu, self.region
+        );
+        if self.mu < 1.0 / (PI * PI) {
+            println!(
+                "  μ is below 1/π²: the spring's own frequency is beyond the Nyquist limit of this sample period"
+            );
+        }
+        if self.passive_at_every_speed {
+            println!("  nothing: this device renders it passively at every speed");
+            return;
+        }
+        match self.passive_up_to_rad_s {
+            Some(speed) => println!("  as it is, passive up to {speed:.4} rad/s only"),
+            None => println!("  as it is, passive at no start that has to come to rest"),
+        }
+        let every = &self.every_speed;
+        println!(
+            "  for every speed:  T ≤ {:.4e} s or b ≥ {:.4e} Nm s/rad;  and  {:.0} counts/rev or more, or c ≥ {:.4e} Nm",
+            every.sample_period_s_at_most,
+            every.viscous_nm_s_rad_at_least,
+            every.counts_per_rev_at_least.ceil(),
+            every.coulomb_nm_at_least
+        );
+        println!("  up to a speed, changing one thing alone (– where that alone cannot do it):");
+        println!(
+            "    speed        sample period    counts/rev      viscous friction  Coulomb friction"
+        );
+        for row in &self.one_change {
+            if row.passive_as_it_is {
+                println!("    {:>5} rad/s  passive as it is", row.speed_rad_s);
+                continue;
+            }
+            let period = row
+                .sample_period_s_at_most
+                .map_or("–".into(), |t| format!("≤ {t:.3e} s"));
+            let counts = row
+                .counts_per_rev_at_least
+                .map_or("–".into(), |n| format!("≥ {:.0}", n.ceil()));
+            println!(
+                "    {:>5} rad/s  {period:<15}  {counts:<14}  ≥ {:.3e}       ≥ {:.3e} Nm",
+                row.speed_rad_s, row.viscous_nm_s_rad_at_least, row.coulomb_nm_at_least
+            );
+        }
+        println!(
+            "  ({} has T = {} s, {} counts/rev, b = {} Nm s/rad, c = {} Nm)",
+            plan.name,
+            plan.sample_period_s,
+            plan.counts_per_rev,
+            plan.viscous_nm_s_rad,
+            plan.coulomb_nm
+        );
+    }
+}

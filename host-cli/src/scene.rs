@@ -1,0 +1,264 @@
+//! The scene file: a device, how it is sampled, what is rendered, and how it starts.
+//!
+//! The file is read into plain data that knows every key this version reads and no
+//! other; an unknown key is refused by name. [`load`] turns it into a
+//! [`Scene`] that can be run.
+
+use std::f64::consts::TAU;
+use std::path::Path;
+
+use anyhow::{Context, Result, anyhow, bail};
+use control::criterion::Device;
+use control::encoder::EncoderConfig;
+use control::spring::Side;
+use control::tick::{Config, Law};
+use plant_sim::closed_loop::Scene;
+use plant_sim::hold::State;
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SceneFile {
+    device: DeviceTable,
+    #[serde(rename = "loop")]
+    sampling: LoopTable,
+    render: RenderTable,
+    #[serde(default)]
+    start: StartTable,
+    #[serde(default)]
+    run: RunTable,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DeviceTable {
+    inertia_kg_m2: f64,
+    viscous_nm_s_rad: f64,
+    coulomb_nm: f64,
+    counts_per_rev: Option<f64>,
+    count_rad: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LoopTable {
+    sample_period_s: f64,
+    #[serde(default = "one")]
+    decimation: u32,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RenderTable {
+    law: LawName,
+    shape: ShapeName,
+    stiffness_nm_rad: f64,
+    centre_rad: Option<f64>,
+    wall_rad: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum LawName {
+    Raw,
+    Static,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum ShapeName {
+    Spring,
+    Wall,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(deny_unknown_fields)]
+struct StartTable {
+    #[serde(default)]
+    angle_rad: f64,
+    #[serde(default)]
+    velocity_rad_s: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RunTable {
+    samples: u64,
+    /// Taken, so that a file with a seed can be run; nothing here is random.
+    #[serde(default, rename = "seed")]
+    _seed: u64,
+}
+
+impl Default for RunTable {
+    fn default() -> Self {
+        Self {
+            samples: 50_000,
+            _seed: 0,
+        }
+    }
+}
+
+/// A device file: the first two tables of a scene file. The others may be there.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DeviceFile {
+    device: DeviceTable,
+    #[serde(rename = "loop")]
+    sampling: LoopTable,
+    #[serde(rename = "render")]
+    _render: Option<IgnoredAny>,
+    #[serde(rename = "start")]
+    _start: Option<IgnoredAny>,
+    #[serde(rename = "run")]
+    _run: Option<IgnoredAny>,
+}
+
+/// A device and how it is sampled, from a file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SampledDevice {
+    pub device: Device<f64>,
+    /// Size of a count before decimation, rad.
+    pub hardware_count_rad: f64,
+    pub decimation: u32,
+    pub period_s: f64,
+}
+
+impl SampledDevice {
+    /// Δ, rad.
+    pub fn count_rad(&self) -> f64 {
+        self.hardware_count_rad * f64::from(self.decimation)
+    }
+}
+
+fn one() -> u32 {
+    1
+}
+
+/// Reads and checks a scene file.
+pub fn load(path: &Path) -> Result<Scene> {
+    let text = read(path)?;
+    parse(&text).with_context(|| path.display().to_string())
+}
+
+/// Reads and checks a device file: `[device]` and `[loop]`; a whole scene file will do.
+pub fn load_device(path: &Path) -> Result<SampledDevice> {
+    let text = read(path)?;
+    let parsed = toml::from_str(&text).map_err(anyhow::Error::from);
+    parsed
+        .and_then(|file: DeviceFile| sampled_device(&file.device, &file.sampling))
+        .with_context(|| path.display().to_string())
+}
+
+fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Checks the text of a scene file.
+pub fn parse(text: &str) -> Result<Scene> {
+    let file: SceneFile = toml::from_str(text)?;
+    let sampled = sampled_device(&file.device, &file.sampling)?;
+    let render = &file.render;
+    not_negative("render.stiffness_nm_rad", render.stiffness_nm_rad)?;
+    let (side, zero_key, zero) = match render.shape {
+        ShapeName::Spring => {
+            if render.wall_rad.is_some() {
+                bail!("render.wall_rad is given, but shape = \"spring\" reads centre_rad");
+            }
+            (Side::Both, "render.centre_rad", render.centre_rad)
+        }
+        ShapeName::Wall => {
+            if render.centre_rad.is_some() {
+                bail!("render.centre_rad is given, but shape = \"wall\" reads wall_rad");
+            }
+            (Side::Above, "render.wall_rad", render.wall_rad)
+        }
+    };
+    let zero_rad = zero.unwrap_or(0.0);
+    finite(zero_key, zero_rad)?;
+    finite("start.angle_rad", file.start.angle_rad)?;
+    finite("start.velocity_rad_s", file.start.velocity_rad_s)?;
+    if file.run.samples == 0 {
+        bail!("run.samples is 0; accepted: a whole number from 1");
+    }
+    let scene = Scene {
+        device: sampled.device,
+        config: Config {
+            device: sampled.device,
+            period_s: sampled.period_s,
+            hardware_count_rad: sampled.hardware_count_rad,
+            encoder: EncoderConfig::new(32, sampled.decimation)?,
+            side,
+            zero_rad,
+            stiffness_nm_rad: render.stiffness_nm_rad,
+            law: match render.law {
+                LawName::Raw => Law::Raw,
+                LawName::Static => Law::Static,
+            },
+        },
+        start: State {
+            position: file.start.angle_rad,
+            velocity: file.start.velocity_rad_s,
+        },
+        samples: file.run.samples,
+    };
+    Ok(scene)
+}
+
+fn sampled_device(device: &DeviceTable, sampling: &LoopTable) -> Result<SampledDevice> {
+    positive("device.inertia_kg_m2", device.inertia_kg_m2)?;
+    not_negative("device.viscous_nm_s_rad", device.viscous_nm_s_rad)?;
+    not_negative("device.coulomb_nm", device.coulomb_nm)?;
+    positive("loop.sample_period_s", sampling.sample_period_s)?;
+    if sampling.decimation == 0 {
+        bail!("loop.decimation is 0; accepted: a whole number from 1");
+    }
+    let hardware_count_rad = match (device.counts_per_rev, device.count_rad) {
+        (Some(counts), None) => TAU / positive("device.counts_per_rev", counts)?,
+        (None, Some(count)) => positive("device.count_rad", count)?,
+        (Some(_), Some(_)) => bail!(
+            "device.counts_per_rev and device.count_rad are both given; accepted: one of them"
+        ),
+        (None, None) => {
+            bail!("device.counts_per_rev is missing; accepted: it, or device.count_rad")
+        }
+    };
+    Ok(SampledDevice {
+        device: Device {
+            inertia_kg_m2: device.inertia_kg_m2,
+            viscous_nm_s_rad: device.viscous_nm_s_rad,
+            coulomb_nm: device.coulomb_nm,
+        },
+        hardware_count_rad,
+        decimation: sampling.decimation,
+        period_s: sampling.sample_period_s,
+    })
+}
+
+fn refuse(key: &str, value: f64, accepted: &str) -> anyhow::Error {
+    anyhow!("{key} is {value}; accepted: {accepted}")
+}
+
+fn finite(key: &str, value: f64) -> Result<f64> {
+    if value.is_finite() {
+        Ok(value)
+    } else {
+        Err(refuse(key, value, "a finite number"))
+    }
+}
+
+fn positive(key: &str, value: f64) -> Result<f64> {
+    if value.is_finite() && value > 0.0 {
+        Ok(value)
+    } else {
+        Err(refuse(key, value, "a finite number above 0"))
+    }
+}
+
+fn not_negative(key: &str, value: f64) -> Result<f64> {
+    if value.is_finite() && value >= 0.0 {
+        Ok(value)
+    } else {
+        Err(refuse(key, value, "a finite number, 0 or more"))
+    }
+}

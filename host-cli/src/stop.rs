@@ -1,0 +1,32 @@
+//! How work ends other than by success: Ctrl-C, and bad usage that only shows later.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+static STOP: AtomicBool = AtomicBool::new(false);
+
+/// The user stopped the work; the process exits with 130.
+#[derive(Debug, thiserror::Error)]
+#[error("stopped; nothing was written")]
+pub struct Stopped;
+
+/// Flags that do not go together or make no sense; the process exits with 2.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct Usage(pub String);
+
+/// From now on Ctrl-C (and a request to terminate) sets the flag instead of killing.
+pub fn listen() {
+    // Where no handler can be set, Ctrl-C kills as it always does; files stay whole
+    // all the same, since they are renamed into place.
+    let _ = ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed));
+}
+
+/// Whether the user asked to stop.
+pub fn requested() -> bool {
+    STOP.load(Ordering::Relaxed)
+}
+
+/// The flag itself, for work in many threads.
+pub fn flag() -> &'static AtomicBool {
+    &STOP
+}

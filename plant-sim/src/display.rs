@@ -1,0 +1,181 @@
+//! The dimensionless haptic display [6]: μ ξ̈ + β ξ̇ + σ sgn ξ̇ = φ, with the quantised
+//! spring φ = −(⌊ξ(h)⌋ + ½) [5] held over every interval [h, h+1).
+
+use control::ConfigError;
+use control::criterion::Dimensionless;
+
+use crate::energy::{self, Ledger};
+use crate::hold::{Hold, State};
+use crate::outcome::{Class, Classes, DIVERGED_COUNTS, Peaks};
+
+/// φ = −(⌊ξ⌋ + ½) [5].
+///
+/// Below 2⁵¹ without a call to `floor`: adding and taking away 1.5·2⁵² rounds ξ to the
+/// nearest whole number, which lies half a count from the middle of the cell, on the
+/// side that the rest (its sign; + 0.0 so that −0 has none) tells.
+#[must_use]
+#[inline]
+pub fn quantised_force(xi: f64) -> f64 {
+    if xi.abs() < ROUNDER / 3.0 {
+        let nearest = (xi + ROUNDER) - ROUNDER;
+        let rest = (xi + 0.0) - nearest;
+        -(nearest + 0.5_f64.copysign(rest))
+    } else {
+        -(xi.floor() + 0.5)
+    }
+}
+
+/// 1.5·2⁵²: see [`quantised_force`].
+pub(crate) const ROUNDER: f64 = 6_755_399_441_055_744.0;
+
+/// A display, solved exactly. Valid by construction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Display {
+    hold: Hold,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Run {
+    /// ξ and ξ̇ at the last sample.
+    pub end: State,
+    /// Samples run: as many as asked for, or fewer if the display came to rest or
+    /// diverged before.
+    pub samples: u64,
+    /// What became of it, by both rules.
+    pub classes: Classes,
+}
+
+impl Display {
+    /// A display with the parameters of [7].
+    ///
+    /// # Errors
+    /// Refuses a μ that is not finite and above zero, and a β or σ that is not finite or
+    /// below zero.
+    pub fn new(parameters: Dimensionless<f64>) -> Result<Self, ConfigError> {
+        let Dimensionless { mu, beta, sigma } = parameters;
+        Ok(Self {
+            hold: Hold::dimensionless(mu, beta, sigma)?,
+        })
+    }
+
+    /// The interval that this display repeats.
+    #[must_use]
+    pub fn hold(&self) -> &Hold {
+        &self.hold
+    }
+
+    /// μ, β, σ.
+    #[must_use]
+    pub fn parameters(&self) -> Dimensionless<f64> {
+        Dimensionless {
+            mu: self.hold.inertia(),
+            beta: self.hold.viscous(),
+            sigma: self.hold.coulomb(),
+        }
+    }
+
+    /// True if the state never changes again: at rest, and friction holds the force of
+    /// its own count.
+    #[must_use]
+    #[inline]
+    pub fn rests(&self, state: State) -> bool {
+        state.velocity == 0.0 && self.hold.breakaway(quantised_force(state.position)) == 0.0
+    }
+
+    /// H_T [17]: ½μξ̇² + H_e(ξ), units of K Δ².
+    #[must_use]
+    pub fn stored_energy(&self, state: State) -> f64 {
+        energy::kinetic(self.hold.inertia(), state.velocity)
+            + energy::quantised_potential(state.position)
+    }
+
+    /// The displacement at rest that stores the same energy [17] as a velocity at
+    /// ξ = 0 (Sec. V: "the initial velocity has been converted into an initial
+    /// displacement").
+    ///
+    /// ```
+    /// use control::criterion::Dimensionless;
+    /// use plant_sim::{display::Display, hold::State};
+    /// let display = Display::new(Dimensionless { mu: 50.0, beta: 0.3, sigma: 0.7 })?;
+    /// let xi = display.displacement_of_equal_energy(2.0); // ½·50·2² = 100 = H_e(ξ)
+    /// let at_rest = State { position: xi, velocity: 0.0 };
+    /// assert!((display.stored_energy(at_rest) - 100.0).abs() < 1e-12);
+    /// # Ok::<(), control::ConfigError>(())
+    /// ```
+    #[must_use]
+    pub fn displacement_of_equal_energy(&self, velocity: f64) -> f64 {
+        energy::displacement_storing(energy::kinetic(self.hold.inertia(), velocity))
+    }
+
+    /// Runs `samples` intervals from `start`, or fewer if the display comes to rest or
+    /// leaves 1e9 counts behind, and says what became of it. Memory does not depend on
+    /// `samples`. `observe` sees every sample, the start as sample 0; it may end the run
+    /// by returning false.
+    pub fn run(
+        &self,
+        start: State,
+        samples: u64,
+        mut observe: impl FnMut(u64, State) -> bool,
+    ) -> Run {
+        let mut state = start;
+        let mut peaks = Peaks::new(samples);
+        let mut sample = 0;
+        // The peak speed since the last sample at which a window began or ended.
+        let mut peak: f64 = 0.0;
+        let mut border = peaks.next_border(0);
+        let classes = loop {
+            if sample == border {
+                peaks.enter(sample - 1, peak);
+                peak = 0.0;
+                border = peaks.next_border(sample);
+            }
+            let speed = state.velocity.abs();
+            if speed > peak {
+                peak = speed;
+            }
+            let go_on = observe(sample, state);
+            if self.rests(state) {
+                break both(Class::Rest);
+            }
+            if state.position.abs() > DIVERGED_COUNTS || state.position.is_nan() {
+                break both(Class::Unstable);
+            }
+            if sample == samples {
+                peaks.enter(sample, peak);
+                break peaks.classes(speed);
+            }
+            if !go_on {
+                break both(Class::Undecided);
+            }
+            state = self.hold.step(state, quantised_force(state.position)).end;
+            sample += 1;
+        };
+        Run {
+            end: state,
+            samples: sample,
+            classes,
+        }
+    }
+
+    /// One interval under the display's own force and a hand that pushes with `push`
+    /// (units of K Δ), entered into the ledger. Returns the state after it.
+    #[must_use]
+    pub fn audited_step(&self, state: State, push: f64, ledger: &mut Ledger) -> State {
+        let force = quantised_force(state.position) + push;
+        let step = self.hold.step(state, force);
+        ledger.enter(
+            energy::generated(state.position, step.end.position),
+            energy::dissipated(&self.hold, state, force, &step),
+        );
+        step.end
+    }
+}
+
+/// Where both rules agree.
+fn both(class: Class) -> Classes {
+    Classes {
+        window: class,
+        paper: class,
+    }
+}

@@ -1,0 +1,2 @@
+//! What the acceptance tests share.
+#![forbid(unsafe_code)]

@@ -1,0 +1,71 @@
+//! The closed-form map against trajectories computed with more digits than an f64 has.
+
+use control::criterion::Dimensionless;
+use plant_sim::display::Display;
+use plant_sim::hold::State;
+use serde::Deserialize;
+
+#[derive(Deserialize)]
+struct Cases {
+    cases: Vec<Case>,
+}
+
+#[derive(Deserialize)]
+struct Case {
+    tag: String,
+    mu: f64,
+    beta: f64,
+    sigma: f64,
+    v0: f64,
+    #[serde(default)]
+    xi0: f64,
+    n: u64,
+    xi: String,
+    v: String,
+    stuck: Option<bool>,
+}
+
+#[test]
+fn every_recorded_trajectory_is_reproduced_to_1e_12() {
+    let recorded: Cases = serde_json::from_str(include_str!("../data/exact-map.json")).unwrap();
+    let mut worst: f64 = 0.0;
+    for case in &recorded.cases {
+        let Case {
+            mu, beta, sigma, ..
+        } = *case;
+        let display = Display::new(Dimensionless { mu, beta, sigma }).unwrap();
+        let start = State {
+            position: case.xi0,
+            velocity: case.v0,
+        };
+        let run = display.run(start, case.n, |_, _| true);
+        let (xi, v): (f64, f64) = (case.xi.parse().unwrap(), case.v.parse().unwrap());
+        let scale = 1.0_f64.max(xi.abs()).max(v.abs());
+        let error = (run.end.position - xi)
+            .abs()
+            .max((run.end.velocity - v).abs())
+            / scale;
+        println!("{:12} {error:.1e}", case.tag);
+        assert!(
+            error <= 1e-12,
+            "{}: μ {mu} β {beta} σ {sigma} v₀ {} after {}: {:?}, not ({xi}, {v})",
+            case.tag,
+            case.v0,
+            case.n,
+            run.end
+        );
+        if let Some(stuck) = case.stuck {
+            assert_eq!(
+                run.end.velocity == 0.0,
+                stuck,
+                "{}: at rest or not",
+                case.tag
+            );
+        }
+        worst = worst.max(error);
+    }
+    println!(
+        "worst relative error {worst:.1e} over {} cases",
+        recorded.cases.len()
+    );
+}
