@@ -6,7 +6,7 @@ use control::criterion::Device;
 use control::spring::Side;
 use control::tick::{Config, Controller, Tick};
 
-use crate::energy::{self, Ledger};
+use crate::energy::{self, Exchange, Ledger};
 use crate::hold::{Hold, State};
 use crate::outcome::{Class, DIVERGED_COUNTS, Peaks};
 
@@ -179,9 +179,10 @@ impl Scene {
                 - potential.per_stiffness(state.position);
             let generated =
                 torque * (step.end.position - state.position) + stiffness * potential_change;
-            report
-                .ledger
-                .enter(generated, energy::dissipated(&hold, state, torque, &step));
+            report.ledger.enter(Exchange {
+                generated,
+                dissipated: energy::dissipated(&hold, state, torque, &step),
+            });
             let furthest = step.turn.map_or(step.end.position, |turn| turn.position);
             report.peak_angle_rad = report
                 .peak_angle_rad

@@ -4,7 +4,7 @@
 use control::ConfigError;
 use control::criterion::Dimensionless;
 
-use crate::energy::{self, Ledger};
+use crate::energy::{self, Exchange};
 use crate::hold::{Hold, State};
 use crate::outcome::{Class, Classes, DIVERGED_COUNTS, Peaks};
 
@@ -159,16 +159,16 @@ impl Display {
     }
 
     /// One interval under the display's own force and a hand that pushes with `push`
-    /// (units of K Δ), entered into the ledger. Returns the state after it.
+    /// (units of K Δ): the state after it, and what it generated and dissipated.
     #[must_use]
-    pub fn audited_step(&self, state: State, push: f64, ledger: &mut Ledger) -> State {
+    pub fn audited_step(&self, state: State, push: f64) -> (State, Exchange) {
         let force = quantised_force(state.position) + push;
         let step = self.hold.step(state, force);
-        ledger.enter(
-            energy::generated(state.position, step.end.position),
-            energy::dissipated(&self.hold, state, force, &step),
-        );
-        step.end
+        let exchange = Exchange {
+            generated: energy::generated(state.position, step.end.position),
+            dissipated: energy::dissipated(&self.hold, state, force, &step),
+        };
+        (step.end, exchange)
     }
 }
 

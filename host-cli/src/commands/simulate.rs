@@ -126,7 +126,9 @@ fn run_display(
     let mut ledger = Ledger::default();
     let mut state = start;
     for sample in 0..run.samples {
-        state = display.audited_step(state, 0.0, &mut ledger);
+        let (next, exchange) = display.audited_step(state, 0.0);
+        state = next;
+        ledger.enter(exchange);
         if sample % 4096 == 0 && stop::requested() {
             break;
         }
