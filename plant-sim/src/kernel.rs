@@ -272,11 +272,10 @@ impl WithSimd for Advance<'_> {
         while from + INTERLEAVED <= position.len() {
             let mut x = [simd.splat_f64s(0.0); INTERLEAVED];
             let (mut v, mut fastest) = (x, x);
-            for r in 0..INTERLEAVED {
-                x[r] = position[from + r];
-                v[r] = velocity[from + r];
-                fastest[r] = peak[from + r];
-            }
+            let here = from..from + INTERLEAVED;
+            x.copy_from_slice(&position[here.clone()]);
+            v.copy_from_slice(&velocity[here.clone()]);
+            fastest.copy_from_slice(&peak[here.clone()]);
             for _ in 0..samples {
                 for r in 0..INTERLEAVED {
                     let constants = Constants {
@@ -292,11 +291,9 @@ impl WithSimd for Advance<'_> {
                     fastest[r] = simd.max_f64s(fastest[r], simd.abs_f64s(v[r]));
                 }
             }
-            for r in 0..INTERLEAVED {
-                position[from + r] = x[r];
-                velocity[from + r] = v[r];
-                peak[from + r] = fastest[r];
-            }
+            position[here.clone()].copy_from_slice(&x);
+            velocity[here.clone()].copy_from_slice(&v);
+            peak[here].copy_from_slice(&fastest);
             from += INTERLEAVED;
         }
     }

@@ -213,6 +213,9 @@ impl Map {
         set: InstructionSet,
         told: &dyn Fn(u64) -> bool,
     ) -> Option<Vec<Classes>> {
+        if !told(0) {
+            return None;
+        }
         let runs = cells.iter().map(|cell| {
             let (parameters, velocity) = self.point(*cell);
             let display = Display::new(parameters).ok()?;

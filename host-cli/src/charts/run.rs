@@ -54,13 +54,13 @@ impl Envelope {
             self.ending.pop_front();
         }
         self.ending.push_back((time_s, value));
-        if self.in_last < self.stride {
-            if let Some(last) = self.stretches.last_mut() {
-                last.low = last.low.min(value);
-                last.high = last.high.max(value);
-                self.in_last += 1;
-                return;
-            }
+        if self.in_last < self.stride
+            && let Some(last) = self.stretches.last_mut()
+        {
+            last.low = last.low.min(value);
+            last.high = last.high.max(value);
+            self.in_last += 1;
+            return;
         }
         if self.stretches.len() == Self::MOST {
             let pairs = self.stretches.chunks(2).map(|pair| Stretch {

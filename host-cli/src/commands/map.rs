@@ -30,7 +30,8 @@ pub struct Args {
     #[arg(long, value_parser = number::positive, required_unless_present = "merge")]
     mu: Option<f64>,
     /// Initial velocities, counts per sample, separated by commas
-    #[arg(long, value_delimiter = ',', value_parser = velocity, required_unless_present = "merge", value_name = "V1,V2,…")]
+    #[arg(long, allow_hyphen_values = true,
+        value_delimiter = ',', value_parser = velocity, required_unless_present = "merge", value_name = "V1,V2,…")]
     v0: Vec<String>,
     /// Cells along each side
     #[arg(long, value_parser = number::count, required_unless_present = "merge")]
@@ -42,10 +43,10 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = Rule::Window)]
     rule: Rule,
     /// Range of β [default: 0..1]
-    #[arg(long, value_parser = span, value_name = "A..B")]
+    #[arg(long, allow_hyphen_values = true, value_parser = span, value_name = "A..B")]
     beta: Option<Span>,
     /// Range of σ [default: 0..1]
-    #[arg(long, value_parser = span, value_name = "A..B")]
+    #[arg(long, allow_hyphen_values = true, value_parser = span, value_name = "A..B")]
     sigma: Option<Span>,
     /// Write NAME.svg, NAME.csv and NAME.json (with --shard only NAME.json)
     #[arg(long, value_name = "NAME")]

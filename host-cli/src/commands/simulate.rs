@@ -27,7 +27,7 @@ use crate::{number, scene};
 )]
 pub struct Args {
     /// The scene file (TOML)
-    #[arg(required_unless_present = "mu", conflicts_with_all = ["mu", "beta", "sigma", "v0", "xi0", "samples"])]
+    #[arg(conflicts_with_all = ["mu", "beta", "sigma", "v0", "xi0", "samples"])]
     scene: Option<PathBuf>,
 
     /// μ = m/(K T²)
@@ -92,7 +92,6 @@ pub fn run(args: &Args) -> Result<()> {
             };
             run_display(args, Dimensionless { mu, beta, sigma }, start, samples)
         }
-        // The flags' own rules say so before; this is for whoever changes them.
         _ => Err(
             Usage("give a scene file, or all of --mu --beta --sigma --v0 --samples".into()).into(),
         ),
@@ -119,7 +118,8 @@ fn run_display(
     start: State,
     samples: u64,
 ) -> Result<()> {
-    let display = Display::new(parameters).context("--mu, --beta, --sigma")?;
+    let display = Display::new(parameters)
+        .map_err(|error| Usage(format!("--mu, --beta, --sigma: {error}")))?;
     let run = display.run(start, samples, |sample, _| {
         sample % 4096 != 0 || !stop::requested()
     });

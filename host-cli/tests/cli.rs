@@ -1,0 +1,814 @@
+//! The `knob` command as a user and a script meet it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn knob() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_knob"))
+}
+
+fn run(args: &[&str]) -> Output {
+    knob().args(args).output().unwrap()
+}
+
+fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Standard output as the one JSON object that it must be.
+fn json(args: &[&str]) -> Value {
+    let output = run(args);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "knob {args:?}: {said}");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// A refusal: nothing on standard output, the exit status, and every part of the message.
+fn refused(args: &[&str], status: i32, parts: &[&str]) {
+    let output = run(args);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(status), "knob {args:?}: {said}");
+    assert!(
+        output.stdout.is_empty(),
+        "knob {args:?} wrote to standard output"
+    );
+    for part in parts {
+        assert!(
+            said.contains(part),
+            "knob {args:?}: `{part}` is missing in: {said}"
+        );
+    }
+    assert!(!said.contains("panicked"), "knob {args:?}: {said}");
+}
+
+#[test]
+fn every_recorded_trajectory_comes_out_of_simulate() {
+    let text = fs::read_to_string(repository().join("tests/data/exact-map.json")).unwrap();
+    let recorded: Value = serde_json::from_str(&text).unwrap();
+    let cases = recorded["cases"].as_array().unwrap();
+    assert!(cases.len() >= 64);
+    for case in cases {
+        let number = |key: &str| case[key].as_f64().unwrap();
+        let flag = |key: &str| number(key).to_string();
+        let (mu, beta, sigma, v0, n) = (
+            flag("mu"),
+            flag("beta"),
+            flag("sigma"),
+            flag("v0"),
+            flag("n"),
+        );
+        let out = json(&[
+            "simulate",
+            "--mu",
+            &mu,
+            "--beta",
+            &beta,
+            "--sigma",
+            &sigma,
+            "--v0",
+            &v0,
+            "--samples",
+            &n,
+            "--json",
+        ]);
+        let digits = |key: &str| case[key].as_str().unwrap().parse::<f64>().unwrap();
+        let scale = 1.0_f64.max(digits("xi").abs()).max(digits("v").abs());
+        for key in ["xi", "v"] {
+            let error = (out[key].as_f64().unwrap() - digits(key)).abs();
+            assert!(
+                error <= 1e-12 * scale,
+                "{}: {key} is off by {error}",
+                case["tag"]
+            );
+        }
+        let stuck = case["stuck"].as_bool().unwrap();
+        assert!(!stuck || out["class"] == "rest", "{case}");
+        assert!(out["samples"].as_u64().unwrap() <= case["n"].as_u64().unwrap());
+        assert!(
+            ["rest", "limit-cycle", "unstable", "undecided"]
+                .contains(&out["class"].as_str().unwrap())
+        );
+    }
+}
+
+#[test]
+fn figure_6_comes_out_of_its_scene_files() {
+    for (name, class, samples) in [
+        ("fig6a", "rest", 256),
+        ("fig6b", "limit-cycle", 1000),
+        ("fig6c", "rest", 119),
+        ("fig6d", "unstable", 80),
+    ] {
+        let file = repository().join(format!("scenes/{name}.toml"));
+        let out = json(&["simulate", file.to_str().unwrap(), "--json"]);
+        assert_eq!(out["class"], class, "{name}");
+        assert_eq!(out["samples"], samples, "{name}");
+        let excess = out["energy_excess_j"].as_f64().unwrap();
+        assert_eq!(excess > 0.0, name == "fig6d", "{name}: {excess}");
+        for key in [
+            "angle_rad",
+            "velocity_rad_s",
+            "peak_angle_rad",
+            "peak_torque_nm",
+            "min_margin_nm",
+            "min_stiffness_nm_rad",
+            "max_stiffness_nm_rad",
+            "energy_start_j",
+            "reversals_last_eighth",
+        ] {
+            assert!(out[key].is_number(), "{name}: {key}");
+        }
+    }
+}
+
+#[test]
+fn a_trace_and_a_plot_hold_the_run() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let scene = repository().join("scenes/fig6c.toml");
+    let (csv, svg) = (at("run.csv"), at("run.svg"));
+    let out = json(&[
+        "simulate",
+        scene.to_str().unwrap(),
+        "--json",
+        "--trace",
+        &csv,
+        "--plot",
+        &svg,
+    ]);
+    let trace = fs::read_to_string(&csv).unwrap();
+    let mut rows = trace.lines();
+    assert_eq!(
+        rows.next().unwrap(),
+        "time_s,angle_rad,velocity_rad_s,count,torque_nm,stiffness_nm_rad,margin_nm"
+    );
+    assert_eq!(rows.count() as u64, out["samples"].as_u64().unwrap());
+    let plot = fs::read_to_string(&svg).unwrap();
+    assert!(plot.starts_with("<svg") && plot.trim_end().ends_with("</svg>"));
+    for words in [
+        "time, s",
+        "angle, rad",
+        "±1 count",
+        "β = b / (K T)",
+        "comes to rest",
+    ] {
+        assert!(plot.contains(words), "{words}");
+    }
+    // What exists stays, unless --force.
+    refused(
+        &["simulate", scene.to_str().unwrap(), "--plot", &svg],
+        1,
+        &["--plot", "run.svg", "--force"],
+    );
+    assert_eq!(fs::read_to_string(&svg).unwrap(), plot);
+    json(&[
+        "simulate",
+        scene.to_str().unwrap(),
+        "--json",
+        "--plot",
+        &svg,
+        "--force",
+    ]);
+    // Nothing else is left beside them.
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+}
+
+#[test]
+fn flags_that_make_no_sense_are_refused_with_what_would_do() {
+    let display = |flag: &'static str, value: &'static str| {
+        let mut args = vec!["simulate"];
+        for (name, good) in [
+            ("--mu", "50"),
+            ("--beta", "0.3"),
+            ("--sigma", "0.7"),
+            ("--v0", "10"),
+            ("--samples", "9"),
+        ] {
+            args.extend([name, if name == flag { value } else { good }]);
+        }
+        if flag == "--xi0" {
+            args.extend([flag, value]);
+        }
+        args
+    };
+    for (flag, value, parts) in [
+        ("--mu", "nan", vec!["--mu", "nan", "not finite"]),
+        (
+            "--mu",
+            "inf",
+            vec!["--mu", "inf", "accepted: a finite number"],
+        ),
+        ("--mu", "0", vec!["--mu", "0 is not above 0"]),
+        ("--mu", "-50", vec!["--mu", "-50", "above 0"]),
+        ("--mu", "1e-320", vec!["--mu", "inf"]),
+        (
+            "--beta",
+            "-0.1",
+            vec!["--beta", "-0.1 is negative", "0 or more"],
+        ),
+        ("--sigma", "NaN", vec!["--sigma", "NaN"]),
+        ("--sigma", "0,5", vec!["--sigma", "`0,5` is not a number"]),
+        ("--v0", "3rad/s", vec!["--v0", "without a unit"]),
+        ("--v0", "1e12", vec!["--v0", "1e12", "±1e9"]),
+        ("--xi0", "inf", vec!["--xi0", "not finite"]),
+        ("--samples", "0", vec!["--samples", "1 or more"]),
+        ("--samples", "-5", vec!["--samples", "1 or more"]),
+        ("--samples", "1.5", vec!["--samples", "whole number"]),
+    ] {
+        refused(&display(flag, value), 2, &parts);
+    }
+    refused(
+        &["simulate"],
+        2,
+        &["scene file", "--mu --beta --sigma --v0 --samples"],
+    );
+    refused(
+        &["simulate", "--mu", "50"],
+        2,
+        &["--beta", "--sigma", "--v0", "--samples"],
+    );
+    refused(
+        &["simulate", "a.toml", "--mu", "50"],
+        2,
+        &["--mu", "cannot be used"],
+    );
+    refused(&["frobnicate"], 2, &["frobnicate"]);
+    refused(
+        &["plan", "--motor", "re36"],
+        2,
+        &["--motor", "re36", "re35", "gimbal-heavy"],
+    );
+    refused(
+        &["plan", "--stiffness", "0"],
+        2,
+        &["--stiffness", "above 0"],
+    );
+    refused(&["plan", "--stiffness", "nan"], 2, &["--stiffness", "nan"]);
+    refused(
+        &["plan", "a.toml", "--motor", "re35"],
+        2,
+        &["cannot be used"],
+    );
+
+    let map = |flag: &'static str, value: &'static str| {
+        let mut args = vec!["map"];
+        for (name, good) in [
+            ("--mu", "50"),
+            ("--v0", "2"),
+            ("--grid", "4"),
+            ("--samples", "10"),
+        ] {
+            args.extend([name, if name == flag { value } else { good }]);
+        }
+        if !args.contains(&flag) {
+            args.extend([flag, value]);
+        }
+        args
+    };
+    for (flag, value, parts) in [
+        ("--mu", "0", vec!["--mu", "above 0"]),
+        ("--v0", "2,nan", vec!["--v0", "nan"]),
+        ("--v0", "2,,3", vec!["--v0", "not a number"]),
+        ("--v0", "2,2", vec!["--v0", "given twice"]),
+        ("--v0", "2e9", vec!["2000000000", "1e9 counts per sample"]),
+        ("--grid", "0", vec!["--grid", "1 or more"]),
+        ("--grid", "10001", vec!["grid of 10001", "1 to 10000"]),
+        ("--samples", "0", vec!["--samples", "1 or more"]),
+        ("--rule", "best", vec!["--rule", "best", "window", "paper"]),
+        ("--beta", "1..0", vec!["--beta", "1..0", "A..B"]),
+        ("--beta", "-1..0", vec!["--beta", "A..B"]),
+        ("--sigma", "0.5", vec!["--sigma", "A..B", "0..1"]),
+        ("--sigma", "0..inf", vec!["--sigma", "inf"]),
+        ("--shard", "0/4", vec!["--shard", "0/4", "1 ≤ I ≤ N"]),
+        ("--shard", "5/4", vec!["--shard", "5/4"]),
+        ("--shard", "1/4", vec!["--shard", "--out NAME or --json"]),
+    ] {
+        refused(&map(flag, value), 2, &parts);
+    }
+    refused(&["map", "--mu", "50"], 2, &["--v0", "--grid", "--samples"]);
+}
+
+const SCENE: &str = r#"
+[device]
+inertia_kg_m2 = 6.28e-6
+viscous_nm_s_rad = 9e-6
+coulomb_nm = 2e-3
+counts_per_rev = 8192
+
+[loop]
+sample_period_s = 1e-3
+decimation = 1
+
+[render]
+law = "raw"
+shape = "spring"
+stiffness_nm_rad = 1.0
+
+[start]
+angle_rad = 0.0
+velocity_rad_s = 3.0
+
+[run]
+samples = 200
+seed = 1
+"#;
+
+#[test]
+fn scene_files_that_make_no_sense_are_refused_with_file_key_and_value() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("scene.toml");
+    let path = file.to_str().unwrap();
+    fs::write(&file, SCENE).unwrap();
+    json(&["simulate", path, "--json"]);
+    let change = |from: &str, to: &str, parts: &[&str]| {
+        assert!(SCENE.contains(from), "{from}");
+        fs::write(&file, SCENE.replacen(from, to, 1)).unwrap();
+        let mut all = vec!["scene.toml"];
+        all.extend(parts);
+        refused(&["simulate", path, "--json"], 1, &all);
+    };
+    change(
+        "6.28e-6",
+        "-1.0",
+        &["device.inertia_kg_m2 is -1", "above 0"],
+    );
+    change("6.28e-6", "0", &["device.inertia_kg_m2 is 0"]);
+    change("6.28e-6", "nan", &["device.inertia_kg_m2 is NaN"]);
+    change(
+        "6.28e-6",
+        "\"6.28 g cm²\"",
+        &["inertia_kg_m2", "string", "line 3"],
+    );
+    change(
+        "9e-6",
+        "-9e-6",
+        &["device.viscous_nm_s_rad is -0.000009", "0 or more"],
+    );
+    change("2e-3", "inf", &["device.coulomb_nm is inf"]);
+    change("8192", "0", &["device.counts_per_rev is 0"]);
+    change(
+        "counts_per_rev = 8192",
+        "counts_per_rev = 8192\ncount_rad = 1e-3",
+        &["both given"],
+    );
+    change(
+        "counts_per_rev = 8192",
+        "",
+        &["counts_per_rev is missing", "count_rad"],
+    );
+    change(
+        "counts_per_rev",
+        "counts_per_turn",
+        &["unknown field `counts_per_turn`", "counts_per_rev"],
+    );
+    change("1e-3\n", "0.0\n", &["loop.sample_period_s is 0", "above 0"]);
+    change("1e-3\n", "-1e-3\n", &["loop.sample_period_s is -0.001"]);
+    change(
+        "decimation = 1",
+        "decimation = 0",
+        &["loop.decimation is 0"],
+    );
+    change("decimation = 1", "decimation = -4", &["decimation", "-4"]);
+    change("decimation = 1", "decimation = 2.5", &["decimation", "2.5"]);
+    // Keys of later versions, refused by name.
+    change(
+        "decimation = 1",
+        "delay_s = 1e-4",
+        &["delay_s", "sample_period_s"],
+    );
+    change(
+        "[start]",
+        "[believed]\ncoulomb_nm = 1e-3\n[start]",
+        &["believed"],
+    );
+    change("[start]", "[hand]\npush_nm = 1e-3\n[start]", &["hand"]);
+    change("\"raw\"", "\"ledger\"", &["ledger", "raw", "static"]);
+    change("\"spring\"", "\"detent\"", &["detent", "spring", "wall"]);
+    change("1.0\n", "-1.0\n", &["render.stiffness_nm_rad is -1"]);
+    change("1.0\n", "nan\n", &["render.stiffness_nm_rad is NaN"]);
+    change(
+        "1.0\n",
+        "1.0\nwall_rad = 0.1\n",
+        &["render.wall_rad", "centre_rad"],
+    );
+    change(
+        "1.0\n",
+        "1.0\ncentre_rad = inf\n",
+        &["render.centre_rad is inf"],
+    );
+    change(
+        "1.0\n",
+        "1.0\ncentre_rad = 1e12\n",
+        &["1000000000000", "counts"],
+    );
+    change(
+        "angle_rad = 0.0",
+        "angle_rad = nan",
+        &["start.angle_rad is NaN"],
+    );
+    change(
+        "angle_rad = 0.0",
+        "angle_rad = 1e9",
+        &["start angle 1000000000 rad", "accepted"],
+    );
+    change(
+        "velocity_rad_s = 3.0",
+        "velocity_rad_s = -inf",
+        &["start.velocity_rad_s is -inf"],
+    );
+    change(
+        "velocity_rad_s = 3.0",
+        "velocity_rad_s = 1e12",
+        &["start velocity 1000000000000 rad/s"],
+    );
+    change("samples = 200", "samples = 0", &["run.samples is 0"]);
+    change("samples = 200", "samples = -1", &["samples"]);
+    change("[render]", "[render", &["line 12"]);
+    change(
+        "law = \"raw\"",
+        "law = \"raw\"\nlaw = \"raw\"",
+        &["law", "duplicate"],
+    );
+
+    // A file written halfway, one that is no text, a folder, and none.
+    fs::write(&file, &SCENE[..SCENE.len() / 2]).unwrap();
+    refused(&["simulate", path], 1, &["scene.toml"]);
+    fs::write(&file, [0xff, 0xfe, 0x00, 0x80]).unwrap();
+    refused(&["simulate", path], 1, &["scene.toml", "UTF-8"]);
+    refused(
+        &["simulate", folder.path().to_str().unwrap()],
+        1,
+        &["cannot read"],
+    );
+    refused(
+        &["simulate", "nowhere.toml"],
+        1,
+        &["cannot read nowhere.toml"],
+    );
+    refused(&["plan", "nowhere.toml"], 1, &["cannot read nowhere.toml"]);
+    fs::write(&file, SCENE.replace("6.28e-6", "-1")).unwrap();
+    refused(
+        &["plan", path],
+        1,
+        &["scene.toml", "device.inertia_kg_m2 is -1"],
+    );
+}
+
+#[test]
+fn a_map_writes_its_three_files_and_reports_both_rules() {
+    let folder = TempDir::new().unwrap();
+    let name = folder.path().join("map");
+    let name = name.to_str().unwrap();
+    let flags = [
+        "map",
+        "--mu",
+        "50",
+        "--v0",
+        "2,-10.0",
+        "--grid",
+        "12",
+        "--samples",
+        "9000",
+        "--json",
+    ];
+    let mut args = flags.to_vec();
+    args.extend(["--out", name]);
+    let out = json(&args);
+    assert_eq!((&out["mu"], &out["samples"]), (&50.0.into(), &9000.into()));
+    assert_eq!((&out["grid"], &out["rule"]), (&12.into(), &"window".into()));
+    assert_eq!(out["v0"], serde_json::json!([2, -10.0]));
+    for v0 in ["2", "-10.0"] {
+        let rows = out["classes"][v0].as_array().unwrap();
+        assert_eq!(rows.len(), 12);
+        let mut unstable = 0;
+        for row in rows {
+            let row = row.as_array().unwrap();
+            assert_eq!(row.len(), 12);
+            assert!(row.iter().all(|code| code.as_u64().unwrap() <= 2));
+            unstable += row.iter().filter(|code| **code == 2).count() as u64;
+        }
+        assert_eq!(out["cells"][v0]["window"]["unstable"], unstable);
+        assert_eq!(out["predictions"][v0]["criterion_missed"], 0);
+        assert!(out["cells"][v0]["paper"]["limit_cycle"].is_u64());
+        // β runs over the rows, σ inside them: the first row has the least viscous friction.
+        assert_eq!(rows[0][0], 2);
+        assert_eq!(rows[11][11], 0);
+        assert_eq!(rows[11][0], 1);
+    }
+    let file = |ending: &str| fs::read_to_string(format!("{name}.{ending}")).unwrap();
+    assert_eq!(serde_json::from_str::<Value>(&file("json")).unwrap(), out);
+    assert_eq!(file("csv").lines().count(), 1 + 2 * 144);
+    assert!(file("svg").contains("from -10.0 counts per sample"));
+    refused(&args, 1, &["--out", "map.svg", "--force"]);
+
+    let paper = json(&[&flags[..], &["--rule", "paper"]].concat());
+    assert_eq!(paper["rule"], "paper");
+    assert_eq!(paper["cells"], out["cells"]);
+    assert_ne!(paper["classes"], out["classes"]);
+}
+
+#[test]
+fn shards_merged_equal_the_whole_byte_for_byte() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let flags = [
+        "map",
+        "--mu",
+        "50",
+        "--v0",
+        "2,10",
+        "--grid",
+        "15",
+        "--samples",
+        "8000",
+    ];
+    let whole = at("whole");
+    assert!(
+        run(&[&flags[..], &["--out", &whole]].concat())
+            .status
+            .success()
+    );
+    let mut parts = Vec::new();
+    for number in 1..=4 {
+        let part = at(&format!("part-{number}"));
+        let shard = format!("{number}/4");
+        assert!(
+            run(&[&flags[..], &["--shard", &shard, "--out", &part]].concat())
+                .status
+                .success()
+        );
+        parts.push(format!("{part}.json"));
+    }
+    let merged = at("merged");
+    let merge = |parts: &[String], name: &str| {
+        let mut args = vec!["map", "--out", name, "--merge"];
+        args.extend(parts.iter().map(String::as_str));
+        run(&args)
+    };
+    // In any order.
+    parts.swap(0, 2);
+    assert!(merge(&parts, &merged).status.success());
+    for ending in ["svg", "csv", "json"] {
+        let read = |name: &str| fs::read(format!("{name}.{ending}")).unwrap();
+        assert!(read(&whole) == read(&merged), "{ending} differs");
+    }
+
+    let refused = |parts: &[String], words: &str| {
+        let output = merge(parts, &at("none"));
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1));
+        assert!(said.contains(words), "{said}");
+        assert!(!Path::new(&at("none.svg")).exists());
+    };
+    refused(&parts[..3], "of 4 parts these are missing: 4");
+    refused(
+        &[&parts[..], &parts[..1]].concat(),
+        "part 3 of 4 came before",
+    );
+    refused(&[at("nowhere.json")], "nowhere.json");
+    refused(&[format!("{whole}.json")], "whole.json");
+    let other = at("other");
+    let foreign = [
+        "map",
+        "--mu",
+        "51",
+        "--v0",
+        "2,10",
+        "--grid",
+        "15",
+        "--samples",
+        "8000",
+    ];
+    assert!(
+        run(&[&foreign[..], &["--shard", "1/4", "--out", &other]].concat())
+            .status
+            .success()
+    );
+    refused(
+        &[parts[1].clone(), format!("{other}.json")],
+        "a part of another map",
+    );
+    // Half a part.
+    let text = fs::read_to_string(&parts[0]).unwrap();
+    fs::write(at("half.json"), &text[..text.len() / 2]).unwrap();
+    refused(&[at("half.json")], "half.json");
+    fs::write(
+        at("odd.json"),
+        text.replacen("\"window\":\"", "\"window\":\"7", 1),
+    )
+    .unwrap();
+    refused(&[at("odd.json")], "cells where");
+}
+
+#[test]
+fn a_plan_answers_both_questions() {
+    let plan = json(&["plan", "--motor", "RE35", "--stiffness", "1", "--json"]);
+    let near = |value: &Value, want: f64| (value.as_f64().unwrap() / want - 1.0).abs() < 1e-3;
+    assert!(near(&plan["viscous_limit_nm_rad"], 0.018));
+    assert!(near(&plan["coulomb_limit_nm_rad"], 5.2152));
+    assert!(near(&plan["largest_stiffness_nm_rad"], 0.018));
+    let at_10 = plan["at_speed"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|at| at["speed_rad_s"] == 10.0);
+    assert!(near(&at_10.unwrap()["largest_stiffness_nm_rad"], 0.3882));
+    let wanted = &plan["wanted"];
+    assert_eq!(wanted["region"], "d");
+    assert!(near(&wanted["passive_up_to_rad_s"], 3.292));
+    assert!(near(
+        &wanted["every_speed"]["sample_period_s_at_most"],
+        1.8e-5
+    ));
+    assert!(near(
+        &wanted["every_speed"]["counts_per_rev_at_least"],
+        1570.8
+    ));
+
+    // What it says would do, does: by the library's own criterion, through a device file.
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("device.toml");
+    for change in wanted["one_change"].as_array().unwrap() {
+        if change["passive_as_it_is"] == true {
+            continue;
+        }
+        let speed = change["speed_rad_s"].as_f64().unwrap();
+        let device = |viscous: f64, coulomb: f64, period: f64| {
+            let text = format!(
+                "[device]\ninertia_kg_m2 = 6.28e-6\nviscous_nm_s_rad = {viscous}\ncoulomb_nm = {coulomb}\n\
+                 counts_per_rev = 8192\n[loop]\nsample_period_s = {period}\n"
+            );
+            fs::write(&file, text).unwrap();
+            let plan = json(&["plan", file.to_str().unwrap(), "--stiffness", "1", "--json"]);
+            let rows = plan["wanted"]["one_change"].as_array().unwrap().clone();
+            let row = rows
+                .into_iter()
+                .find(|row| row["speed_rad_s"] == speed)
+                .unwrap();
+            row["passive_as_it_is"].as_bool().unwrap()
+        };
+        let need = |key: &str| change[key].as_f64().unwrap();
+        let (b, c, t) = (9e-6, 2e-3, 1e-3);
+        assert!(device(need("viscous_nm_s_rad_at_least") * 1.000_001, c, t));
+        assert!(!device(need("viscous_nm_s_rad_at_least") * 0.999, c, t));
+        assert!(device(b, need("coulomb_nm_at_least") * 1.000_001, t));
+        assert!(!device(b, need("coulomb_nm_at_least") * 0.999, t));
+        assert!(device(b, c, need("sample_period_s_at_most") * 0.999_999));
+        assert!(!device(b, c, need("sample_period_s_at_most") * 1.001));
+    }
+    let svg = folder.path().join("plan.svg");
+    assert!(
+        run(&[
+            "plan",
+            "--motor",
+            "gimbal-light",
+            "--plot",
+            svg.to_str().unwrap()
+        ])
+        .status
+        .success()
+    );
+    assert!(
+        fs::read_to_string(svg)
+            .unwrap()
+            .contains("how stiff at which speed")
+    );
+}
+
+#[test]
+fn the_figures_are_all_drawn() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("new/figures");
+    assert!(
+        run(&["figures", "--out", out.to_str().unwrap()])
+            .status
+            .success()
+    );
+    for name in [
+        "fig3",
+        "fig4",
+        "fig5a",
+        "fig5b",
+        "fig5-panels",
+        "fig6a",
+        "fig6b",
+        "fig6c",
+        "fig6d",
+    ] {
+        let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
+        assert!(svg.trim_end().ends_with("</svg>"), "{name}");
+        assert!(!svg.contains("NaN") && !svg.contains("inf\""), "{name}");
+    }
+    refused(
+        &["figures", "--out", out.to_str().unwrap()],
+        1,
+        &["fig3.svg", "--force"],
+    );
+}
+
+#[test]
+fn every_command_has_help_with_an_example() {
+    for command in ["simulate", "map", "plan", "figures"] {
+        let output = run(&[command, "--help"]);
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(
+            output.status.success() && text.contains("Example"),
+            "{command}"
+        );
+        assert!(text.contains(&format!("knob {command} ")), "{command}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_stops_long_work_within_a_second_and_leaves_nothing() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let long_scene = at("long.toml");
+    // A limit cycle: it runs as long as it is told to.
+    let endless = SCENE
+        .replace("samples = 200", "samples = 1000000000000")
+        .replace("8192", "20")
+        .replace("nm_rad = 1.0", "nm_rad = 0.015");
+    fs::write(&long_scene, endless).unwrap();
+    let (out, trace) = (at("map"), at("trace.csv"));
+    let samples = "1000000000000";
+    for args in [
+        vec![
+            "map",
+            "--mu",
+            "50",
+            "--v0",
+            "2,10",
+            "--grid",
+            "300",
+            "--samples",
+            samples,
+            "--out",
+            &out,
+        ],
+        // Heavy damping: the scalar core.
+        vec![
+            "map",
+            "--mu",
+            "0.05",
+            "--v0",
+            "2",
+            "--grid",
+            "9",
+            "--sigma",
+            "0..0.4",
+            "--samples",
+            samples,
+            "--out",
+            &out,
+        ],
+        vec!["simulate", &long_scene, "--trace", &trace],
+        vec![
+            "simulate",
+            "--mu",
+            "50",
+            "--beta",
+            "0.6",
+            "--sigma",
+            "0.3",
+            "--v0",
+            "9",
+            "--samples",
+            samples,
+        ],
+    ] {
+        let mut child = knob()
+            .args(&args)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(400));
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "{args:?} ended by itself"
+        );
+        let asked = Instant::now();
+        let killed = Command::new("kill")
+            .args(["-INT", &child.id().to_string()])
+            .status()
+            .unwrap();
+        assert!(killed.success());
+        let output = child.wait_with_output().unwrap();
+        let took = asked.elapsed();
+        assert_eq!(output.status.code(), Some(130), "{args:?}");
+        println!("{args:?}: stopped after {took:?}");
+        assert!(output.stdout.is_empty());
+        let left: Vec<_> = fs::read_dir(folder.path())
+            .unwrap()
+            .map(|e| e.unwrap().file_name())
+            .collect();
+        assert_eq!(left, ["long.toml"], "{args:?} left something behind");
+    }
+}
