@@ -280,7 +280,7 @@ mod tests {
     #[test]
     fn the_potential_is_the_integral_of_the_torque() {
         for side in [Side::Both, Side::Above] {
-            for zero in [0.0, 0.3, 0.5, -2.7, 7.5] {
+            for zero in [0.0, 0.3, 0.5, 0.8, -2.7, -0.2, 7.5] {
                 let potential = Potential {
                     side,
                     zero,

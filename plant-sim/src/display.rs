@@ -121,14 +121,14 @@ impl Display {
         let mut state = start;
         let mut peaks = Peaks::new(samples);
         let mut sample = 0;
-        // The peak speed since the last sample at which a window began or ended.
+        // The peak speed of the samples that lie in the same windows as this one.
         let mut peak: f64 = 0.0;
-        let mut border = peaks.next_border(0);
+        let mut alike = peaks.last_alike(0);
         let classes = loop {
-            if sample == border {
-                peaks.enter(sample - 1, peak);
+            if sample > alike {
+                peaks.enter(alike, peak);
                 peak = 0.0;
-                border = peaks.next_border(sample);
+                alike = peaks.last_alike(sample);
             }
             let speed = state.velocity.abs();
             if speed > peak {
@@ -177,5 +177,27 @@ fn both(class: Class) -> Classes {
     Classes {
         window: class,
         paper: class,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_force_is_that_of_the_floor_also_on_edges_and_far_out() {
+        let far = [2.0_f64.powi(50), 2.0_f64.powi(51), 1e17, -1e17, 1e300];
+        let edges = (-1000..1000).map(f64::from);
+        let beside = edges
+            .clone()
+            .flat_map(|n| [n.next_up(), n.next_down(), n + 0.5, n + 0.3]);
+        for xi in
+            edges
+                .chain(beside)
+                .chain(far)
+                .chain([-0.0, f64::MIN_POSITIVE, -f64::MIN_POSITIVE])
+        {
+            assert_eq!(quantised_force(xi), -(xi.floor() + 0.5), "ξ = {xi:?}");
+        }
     }
 }

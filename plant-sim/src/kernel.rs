@@ -215,8 +215,8 @@ pub fn classify(
         if who.is_empty() {
             return Some(classes);
         }
-        let border = peaks[0].next_border(sample + 1);
-        let next = (sample + LOOK_EVERY).min(samples).min(border - 1);
+        let alike = peaks[0].last_alike(sample + 1);
+        let next = (sample + LOOK_EVERY).min(samples).min(alike);
         lanes.pad();
         set.run(Advance {
             lanes: &mut lanes,

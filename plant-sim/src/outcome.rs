@@ -84,18 +84,18 @@ impl Peaks {
         }
     }
 
-    /// The first sample after `sample` at which a window begins or has just ended, or
-    /// the end of the run: from `sample` to the one before it no window changes.
-    pub(crate) fn next_border(&self, sample: u64) -> u64 {
+    /// The last sample for which, with all from `sample` on, one peak can be entered: up
+    /// to it no window begins or ends.
+    pub(crate) fn last_alike(&self, sample: u64) -> u64 {
         windows(self.samples)
             .into_iter()
             .flat_map(|(first, last)| [first, last + 1])
             .filter(|border| *border > sample)
             .min()
-            .unwrap_or(u64::MAX)
+            .map_or(u64::MAX, |border| border - 1)
     }
 
-    /// Enters the peak speed of the samples up to `sample` since the last border.
+    /// Enters the peak speed of the samples that end with `sample` and lie in the same windows.
     pub(crate) fn enter(&mut self, sample: u64, speed: f64) {
         for (peak, (first, last)) in self.peak.iter_mut().zip(windows(self.samples)) {
             if first <= sample && sample <= last && speed > *peak {
@@ -125,5 +125,57 @@ impl Peaks {
             _ => Class::LimitCycle,
         };
         Classes { window, paper }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn peaks_entered_in_stretches_are_those_of_every_sample() {
+        for samples in [1, 1_999, 2_000, 2_001, 5_000, 8_000, 8_001, 12_345] {
+            // A speed that is largest at the borders of windows.
+            let speed = |sample: u64| ((sample * 7919) % 1009) as f64 + (sample % 2000) as f64;
+            let mut each = Peaks::new(samples);
+            let mut stretches = Peaks::new(samples);
+            let mut first = 0;
+            for sample in 0..=samples {
+                each.enter(sample, speed(sample));
+            }
+            while first <= samples {
+                let last = stretches.last_alike(first).min(samples);
+                let peak = (first..=last).map(speed).fold(0.0, f64::max);
+                stretches.enter(last, peak);
+                first = last + 1;
+            }
+            assert_eq!(each, stretches, "{samples} samples");
+        }
+    }
+
+    #[test]
+    fn the_rules_differ_where_they_should() {
+        let classes = |first: f64, middle: f64, last: f64, end: f64| {
+            let mut peaks = Peaks::new(50_000);
+            peaks.enter(0, first);
+            peaks.enter(26_000, middle);
+            peaks.enter(49_000, last);
+            let Classes { window, paper } = peaks.classes(end);
+            (window, paper)
+        };
+        use Class::{LimitCycle, Rest, Unstable};
+        assert_eq!(classes(10.0, 20.0, 40.0, 0.001), (Unstable, Unstable));
+        // Growing, but not beyond the start: a cycle that is being approached from above.
+        assert_eq!(classes(10.0, 1.0, 1.1, 1.0), (LimitCycle, LimitCycle));
+        assert_eq!(classes(10.0, 1.0, 1.0, 0.001), (LimitCycle, Rest));
+        assert_eq!(classes(10.0, 1.0, 0.009, 0.009), (Rest, Rest));
+        assert_eq!(classes(10.0, 20.0, 20.3, 5.0), (LimitCycle, LimitCycle));
+        // Too short for three windows.
+        let short = Peaks::new(7_999).classes(1.0);
+        assert_eq!(
+            (short.window, short.paper),
+            (Class::Undecided, Class::Undecided)
+        );
+        assert_eq!(Peaks::new(7_999).classes(0.001).paper, Rest);
     }
 }

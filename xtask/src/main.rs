@@ -63,10 +63,15 @@ fn cargo() -> Command {
 fn run(command: &mut Command) -> Result<()> {
     let arguments: Vec<_> = command.get_args().map(OsStr::to_string_lossy).collect();
     let program = command.get_program().to_string_lossy();
-    let name = Path::new(program.as_ref()).file_stem().unwrap_or_default().to_string_lossy();
+    let name = Path::new(program.as_ref())
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy();
     let line = format!("{name} {}", arguments.join(" "));
     eprintln!("xtask: {line}");
-    let status = command.status().with_context(|| format!("cannot run `{line}`"))?;
+    let status = command
+        .status()
+        .with_context(|| format!("cannot run `{line}`"))?;
     if !status.success() {
         bail!("`{line}` failed");
     }
@@ -97,8 +102,19 @@ fn setup() -> Result<()> {
 }
 
 fn figures() -> Result<()> {
-    let knob = ["run", "--quiet", "--release", "-p", "host-cli", "--bin", "knob", "--"];
-    run(cargo().args(knob).args(["figures", "--out", "target/figures", "--force"]))
+    let knob = [
+        "run",
+        "--quiet",
+        "--release",
+        "-p",
+        "host-cli",
+        "--bin",
+        "knob",
+        "--",
+    ];
+    run(cargo()
+        .args(knob)
+        .args(["figures", "--out", "target/figures", "--force"]))
 }
 
 fn test() -> Result<()> {
@@ -108,6 +124,15 @@ fn test() -> Result<()> {
 fn check() -> Result<()> {
     setup()?;
     run(cargo().args(["fmt", "--all", "--check"]))?;
-    run(cargo().args(["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]))?;
-    run(cargo().env("RUSTDOCFLAGS", "-D warnings").args(["doc", "--workspace", "--no-deps"]))
+    run(cargo().args([
+        "clippy",
+        "--workspace",
+        "--all-targets",
+        "--",
+        "-D",
+        "warnings",
+    ]))?;
+    run(cargo()
+        .env("RUSTDOCFLAGS", "-D warnings")
+        .args(["doc", "--workspace", "--no-deps"]))
 }
