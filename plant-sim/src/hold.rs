@@ -55,6 +55,10 @@ pub struct Hold {
     viscous: f64,
     coulomb: f64,
     duration: f64,
+    /// 1/m.
+    mobility: f64,
+    /// a = b/m.
+    decay_rate: f64,
     /// a·h = b·h/m.
     decay_exponent: f64,
     /// 1 − e^(−ah).
@@ -93,6 +97,8 @@ impl Hold {
             viscous,
             coulomb,
             duration,
+            mobility: 1.0 / inertia,
+            decay_rate: viscous / inertia,
             decay_exponent: y,
             decay: -(-y).exp_m1(),
             reach: duration * one,
@@ -226,9 +232,9 @@ impl Hold {
             position: start.position + distance,
         };
         let left = self.duration - time;
-        let y = self.decay_exponent * (left / self.duration);
+        let y = self.decay_rate * left;
         let two = phi2(y);
-        let gain = self.breakaway(force) * (left / self.inertia);
+        let gain = self.breakaway(force) * (left * self.mobility);
         Step {
             end: State {
                 position: turn.position + gain * left * two,

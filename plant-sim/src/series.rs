@@ -26,14 +26,20 @@ const fn factorial_tail<const N: usize>() -> [f64; N] {
     terms
 }
 
-/// Σ coefficients[k]·xᵏ.
+/// Σ coefficients[k]·xᵏ, even and odd powers side by side: half as long a chain of
+/// operations that wait for each other as in Horner's form.
 #[inline]
 pub(crate) fn polynomial<const N: usize>(coefficients: &[f64; N], x: f64) -> f64 {
-    let mut sum = 0.0;
-    for c in coefficients.iter().rev() {
-        sum = sum * x + c;
+    let square = x * x;
+    let (mut even, mut odd) = (0.0, 0.0);
+    for (k, c) in coefficients.iter().enumerate().rev() {
+        if k % 2 == 0 {
+            even = even * square + c;
+        } else {
+            odd = odd * square + c;
+        }
     }
-    sum
+    even + x * odd
 }
 
 /// φ₂(y) = (y − 1 + e⁻ʸ)/y², y ≥ 0.
