@@ -1,12 +1,12 @@
 //! The passivity criterion of Diolaiti, Niemeyer, Barbagli and Salisbury, in every
-//! form of the paper. Equation numbers in brackets are the paper's.
+//! form of the paper. Equation numbers in parentheses are the paper's.
 //!
 //! A display of stiffness K, sampled every T through counts of size Δ, on a device
 //! with viscous friction b and Coulomb friction c, is passive while
 //!
-//! (b − KT/2) + |ẋ|⁻¹(c − KΔ/2) ≥ 0. [11]
+//! (b − KT/2) + |ẋ|⁻¹(c − KΔ/2) ≥ 0. (11)
 //!
-//! Everything here uses the power form, [11] × |ẋ|, in Nm: it says the same wherever
+//! Everything here uses the power form, (11) × |ẋ|, in Nm: it says the same wherever
 //! the knob moves, has no division, and is affine in |ẋ|.
 //!
 //! Assumed: the torque is held for one period and applied without delay, the knob
@@ -16,7 +16,7 @@
 use crate::error::{ConfigError, not_negative, positive};
 use crate::real::{Real, magnitude, smaller};
 
-/// A device by its mechanics: m ẍ + b ẋ + c sgn ẋ = torque [1].
+/// A device by its mechanics: m ẍ + b ẋ + c sgn ẋ = torque (1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Device<T> {
     /// m, kg m².
@@ -36,7 +36,7 @@ pub struct Sampling<T> {
     pub count_rad: T,
 }
 
-/// The dimensionless parameters [7] of a display.
+/// The dimensionless parameters (7) of a display.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dimensionless<T> {
     /// μ = m/(K T²).
@@ -48,7 +48,7 @@ pub struct Dimensionless<T> {
 }
 
 /// The four regions of the (β, σ) plane (Fig. 3). A point on a border has enough
-/// friction of that kind, as in [8].
+/// friction of that kind, as in (8).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Region {
     /// (a) β ≥ ½, σ ≥ ½: passive whatever the start.
@@ -75,14 +75,14 @@ impl Region {
 }
 
 impl<T: Real> Dimensionless<T> {
-    /// (β − ½)·|ξ̇| + (σ − ½), inequality [8] times |ξ̇|: the power that friction takes
+    /// (β − ½)·|ξ̇| + (σ − ½), inequality (8) times |ξ̇|: the power that friction takes
     /// beyond what sampling makes, in units of K Δ, at a speed in counts per sample.
     pub fn power_margin(&self, speed: T) -> T {
         let half = T::from(0.5);
         (self.beta - half) * magnitude(speed) + (self.sigma - half)
     }
 
-    /// Inequality [8] at one speed in counts per sample; at the initial speed it is [10].
+    /// Inequality (8) at one speed in counts per sample; at the initial speed it is (10).
     ///
     /// ```
     /// use control::criterion::Dimensionless;
@@ -106,8 +106,8 @@ impl<T: Real> Dimensionless<T> {
     }
 }
 
-/// The σ of the critical line σ = ½ − |ξ̇|(β − ½) [9] at a given β and a speed in
-/// counts per sample. Points on it or above satisfy [8].
+/// The σ of the critical line σ = ½ − |ξ̇|(β − ½) (9) at a given β and a speed in
+/// counts per sample. Points on it or above satisfy (8).
 ///
 /// ```
 /// use control::criterion::critical_sigma;
@@ -135,7 +135,7 @@ pub fn critical_sigma<T: Real>(beta: T, speed: T) -> T {
 /// assert!((criterion.coulomb_limit() - 5.2152).abs() < 1e-4);
 /// assert_eq!(criterion.largest_stiffness(), criterion.viscous_limit());
 ///
-/// // Fig. 6(c): K = 1 Nm/rad is passive up to 3.29 rad/s, by [11].
+/// // Fig. 6(c): K = 1 Nm/rad is passive up to 3.29 rad/s, by (11).
 /// let display = criterion.dimensionless(1.0);
 /// assert!((display.beta - 0.009).abs() < 1e-12 && (display.sigma - 2.6076).abs() < 1e-4);
 /// assert_eq!(display.region(), Region::LocallyPassive);
@@ -192,7 +192,7 @@ impl<T: Real> Criterion<T> {
         &self.sampling
     }
 
-    /// μ, β and σ [7] of a display of stiffness K (Nm/rad) above zero; at K = 0 they
+    /// μ, β and σ (7) of a display of stiffness K (Nm/rad) above zero; at K = 0 they
     /// are infinite, as the effective friction of no spring is.
     pub fn dimensionless(&self, stiffness: T) -> Dimensionless<T> {
         let Device {
@@ -211,7 +211,7 @@ impl<T: Real> Criterion<T> {
         }
     }
 
-    /// (b − KT/2)·|ẋ| + (c − KΔ/2), [11] times |ẋ|, in Nm, for K in Nm/rad and a
+    /// (b − KT/2)·|ẋ| + (c − KΔ/2), (11) times |ẋ|, in Nm, for K in Nm/rad and a
     /// speed in rad/s. The display is passive at that speed while it is ≥ 0.
     pub fn power_margin_nm(&self, stiffness: T, speed: T) -> T {
         let half_stiffness = T::from(0.5) * stiffness;
@@ -219,7 +219,7 @@ impl<T: Real> Criterion<T> {
             + (self.device.coulomb_nm - half_stiffness * self.sampling.count_rad)
     }
 
-    /// The largest K that [11] allows at one speed: 2(b|ẋ| + c)/(T|ẋ| + Δ), Nm/rad.
+    /// The largest K that (11) allows at one speed: 2(b|ẋ| + c)/(T|ẋ| + Δ), Nm/rad.
     ///
     /// It lies between `coulomb_limit` at rest and `viscous_limit` at infinite
     /// speed, and is monotonic in between.
@@ -229,7 +229,7 @@ impl<T: Real> Criterion<T> {
             / (self.sampling.period_s * speed + self.sampling.count_rad)
     }
 
-    /// The largest K that [11] allows at every speed: min(2b/T, 2c/Δ), Nm/rad, the
+    /// The largest K that (11) allows at every speed: min(2b/T, 2c/Δ), Nm/rad, the
     /// border of region (a); also Abbott and Okamura's (2005).
     pub fn largest_stiffness(&self) -> T {
         smaller(self.viscous_limit, self.coulomb_limit)
@@ -313,7 +313,7 @@ mod tests {
             let above = sigma - critical_sigma(beta, speed);
             prop_assume!(above.abs() > 1e-12);
             prop_assert_eq!(display.holds_at(speed), above > 0.0);
-            // The paper writes [8] with a division; where that is possible they agree.
+            // The paper writes (8) with a division; where that is possible they agree.
             if speed != 0.0 {
                 let as_printed = (beta - 0.5) + (sigma - 0.5) / speed.abs();
                 prop_assert_eq!(display.holds_at(speed), as_printed >= 0.0);

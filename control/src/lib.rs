@@ -7,7 +7,7 @@
 //! plant, uses no allocation, and the tick cannot panic.
 //!
 //! Quantities are in SI units; a bare number carries its unit in its name. Equation
-//! numbers in brackets are those of Diolaiti, Niemeyer, Barbagli, Salisbury, "A
+//! numbers in parentheses are those of Diolaiti, Niemeyer, Barbagli, Salisbury, "A
 //! Criterion for the Passivity of Haptic Devices" (2005).
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]

@@ -1,4 +1,4 @@
-//! The sampled, quantised spring [2], on both sides of its zero or on one.
+//! The sampled, quantised spring (2), on both sides of its zero or on one.
 
 use crate::error::{ConfigError, positive};
 
@@ -14,7 +14,7 @@ pub enum Side {
 /// A spring of unit-free shape: what it needs to know to turn a count into a
 /// deflection. The stiffness comes with every tick. Valid by construction.
 ///
-/// The sensed deflection of count n is q = (n + ½)Δ − zero: the +½ of [2] makes the
+/// The sensed deflection of count n is q = (n + ½)Δ − zero: the +½ of (2) makes the
 /// force symmetric about a zero on a count edge and bounds the error of the position by Δ/2.
 ///
 /// The zero is kept as a whole number of counts and a rest, so that no precision is
@@ -24,7 +24,7 @@ pub struct SampledSpring {
     side: Side,
     count_rad: f32,
     zero_count: i32,
-    /// Zero above the lower edge of cell `zero_count`, less the half count of [2], rad.
+    /// Zero above the lower edge of cell `zero_count`, less the half count of (2), rad.
     offset_rad: f32,
 }
 
@@ -66,7 +66,7 @@ impl SampledSpring {
         count.wrapping_sub(self.zero_count) as f32 * self.count_rad - self.offset_rad
     }
 
-    /// The torque −K·q [2] at a count, Nm, for K in Nm/rad; 0 on the free side of a wall.
+    /// The torque −K·q (2) at a count, Nm, for K in Nm/rad; 0 on the free side of a wall.
     ///
     /// ```
     /// use control::spring::{SampledSpring, Side};

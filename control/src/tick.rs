@@ -57,7 +57,7 @@ pub struct Tick {
     pub torque_nm: f32,
     /// The stiffness applied, Nm/rad.
     pub stiffness_nm_rad: f32,
-    /// The passivity margin [11] × |ẋ| of the applied stiffness at the worst of the
+    /// The passivity margin (11) × |ẋ| of the applied stiffness at the worst of the
     /// mean speeds that the counts of the last period allow, Nm. The first tick has
     /// seen no motion and answers for a knob at rest.
     pub margin_nm: f32,

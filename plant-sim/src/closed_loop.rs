@@ -64,7 +64,7 @@ pub struct Report {
     pub min_stiffness_nm_rad: f64,
     /// The largest stiffness applied, Nm/rad.
     pub max_stiffness_nm_rad: f64,
-    /// Kinetic energy plus the potential [16] of the demanded spring at the start.
+    /// Kinetic energy plus the potential (16) of the demanded spring at the start.
     pub energy_start_j: f64,
     /// Largest kinetic energy − `energy_start_j` over the run; at most 0 if passive.
     pub energy_excess_j: f64,
@@ -249,7 +249,7 @@ fn kinetic(hold: &Hold, state: State) -> f64 {
     energy::kinetic(hold.inertia(), state.velocity)
 }
 
-/// The potential [16] of a quantised spring or wall with its zero anywhere.
+/// The potential (16) of a quantised spring or wall with its zero anywhere.
 struct Potential {
     side: Side,
     /// Centre or wall, counts.

@@ -1,5 +1,5 @@
-//! The dimensionless haptic display [6]: μ ξ̈ + β ξ̇ + σ sgn ξ̇ = φ, with the quantised
-//! spring φ = −(⌊ξ(h)⌋ + ½) [5] held over every interval [h, h+1).
+//! The dimensionless haptic display (6): μ ξ̈ + β ξ̇ + σ sgn ξ̇ = φ, with the quantised
+//! spring φ = −(⌊ξ(h)⌋ + ½) (5) held over every interval [h, h+1).
 
 use control::ConfigError;
 use control::criterion::Dimensionless;
@@ -8,7 +8,7 @@ use crate::energy::{self, Exchange};
 use crate::hold::{Hold, State};
 use crate::outcome::{Class, Classes, DIVERGED_COUNTS, Peaks};
 
-/// φ = −(⌊ξ⌋ + ½) [5].
+/// φ = −(⌊ξ⌋ + ½) (5).
 ///
 /// Below 2⁵¹ without a call to `floor`: adding and taking away 1.5·2⁵² rounds ξ to the
 /// nearest whole number, which lies half a count from the middle of the cell, on the
@@ -47,7 +47,7 @@ pub struct Run {
 }
 
 impl Display {
-    /// A display with the parameters of [7].
+    /// A display with the parameters of (7).
     ///
     /// # Errors
     /// Refuses a μ that is not finite and above zero, and a β or σ that is not finite or
@@ -83,14 +83,14 @@ impl Display {
         state.velocity == 0.0 && self.hold.breakaway(quantised_force(state.position)) == 0.0
     }
 
-    /// H_T [17]: ½μξ̇² + H_e(ξ), units of K Δ².
+    /// H_T (17): ½μξ̇² + H_e(ξ), units of K Δ².
     #[must_use]
     pub fn stored_energy(&self, state: State) -> f64 {
         energy::kinetic(self.hold.inertia(), state.velocity)
             + energy::quantised_potential(state.position)
     }
 
-    /// The displacement at rest that stores the same energy [17] as a velocity at
+    /// The displacement at rest that stores the same energy (17) as a velocity at
     /// ξ = 0 (Sec. V: "the initial velocity has been converted into an initial
     /// displacement").
     ///

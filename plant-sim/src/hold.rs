@@ -1,4 +1,4 @@
-//! The core: one hold interval of m ẍ + b ẋ + c sgn ẋ = F [1], solved in closed form.
+//! The core: one hold interval of m ẍ + b ẋ + c sgn ẋ = F (1), solved in closed form.
 //!
 //! While the force F is held and the sign s of the motion stays, the equation is
 //! linear and has the solution
@@ -13,7 +13,7 @@
 //! that no digits are lost for any b ≥ 0, also b = 0.
 //!
 //! The same core serves physical units (kg m², Nm s/rad, Nm, s) and the
-//! dimensionless display [6], where m, b, c are μ, β, σ and an interval lasts 1.
+//! dimensionless display (6), where m, b, c are μ, β, σ and an interval lasts 1.
 
 use control::ConfigError;
 use control::criterion::{Criterion, Device, Sampling};
@@ -116,7 +116,7 @@ impl Hold {
         Ok(hold)
     }
 
-    /// Intervals of length 1 of the dimensionless display [6] with μ, β, σ.
+    /// Intervals of length 1 of the dimensionless display (6) with μ, β, σ.
     ///
     /// # Errors
     /// As [`Hold::new`].

@@ -317,7 +317,7 @@ struct Kernel<S: Simd> {
 }
 
 impl<S: Simd> Kernel<S> {
-    /// φ of [5], as [`quantised_force`](crate::display::quantised_force).
+    /// φ of (5), as [`quantised_force`](crate::display::quantised_force).
     #[inline(always)]
     fn quantised_force(&self, x: S::f64s) -> S::f64s {
         let s = self.simd;

@@ -4,15 +4,15 @@
 //! held between samples, computed from an encoder's counts. Between two samples its
 //! motion is a closed form, so a run has no step size and no integration error:
 //!
-//! - [`hold`]: the core, one interval of constant torque [1];
-//! - [`display`]: the dimensionless display [6] and its runs;
-//! - [`energy`]: the audit of Sec. IV, [16] to [26];
+//! - [`hold`]: the core, one interval of constant torque (1);
+//! - [`display`]: the dimensionless display (6) and its runs;
+//! - [`energy`]: the audit of Sec. IV, (16) to (26);
 //! - [`outcome`]: rest, limit cycle or divergence, by two rules;
 //! - [`kernel`] and [`map`]: many displays at once, the plane of Fig. 5;
 //! - [`closed_loop`]: a knob in physical units under the controller of [`control`];
 //! - [`preset`]: devices known by name.
 //!
-//! Everything is `f64`. Equation numbers in brackets are those of Diolaiti, Niemeyer,
+//! Everything is `f64`. Equation numbers in parentheses are those of Diolaiti, Niemeyer,
 //! Barbagli, Salisbury, "A Criterion for the Passivity of Haptic Devices" (2005).
 #![forbid(unsafe_code)]
 

@@ -300,7 +300,7 @@ impl Shard {
 /// The left side of the describing-function condition β + 4σ/(π v₀) < ½: below ½, the
 /// oscillation that a start at ξ(0) = 0 with velocity v₀ begins grows.
 ///
-/// Not in the paper; an estimate of the true edge that the criterion [10] is the safe
+/// Not in the paper; an estimate of the true edge that the criterion (10) is the safe
 /// side of, not a guarantee. Infinite at v₀ = 0 (zero with σ = 0).
 ///
 /// Assumes an oscillation much slower than the sampling, μ ≫ 1/π², and larger than a count.

@@ -9,8 +9,8 @@ use plant_sim::energy::{
 use plant_sim::hold::State;
 use proptest::prelude::*;
 
-/// The storage constant of the passivity theorem: what a display may give out beyond [17]
-/// while [8] holds, in units of K Δ².
+/// The storage constant of the passivity theorem: what a display may give out beyond (17)
+/// while (8) holds, in units of K Δ².
 const STORAGE: f64 = 0.125;
 
 fn log_uniform(low: f64, high: f64) -> impl Strategy<Value = f64> {
@@ -58,16 +58,16 @@ proptest! {
             in_play = in_play.max(here);
             work += push * moved;
 
-            // [13], interval by interval: stored = generated − dissipated + work of the hand.
+            // (13), interval by interval: stored = generated − dissipated + work of the hand.
             let (made, burnt) = (exchange.generated, exchange.dissipated);
             let stored = display.stored_energy(next) - display.stored_energy(state);
             prop_assert!((stored - (made - burnt + push * moved)).abs() <= 1e-12 * in_play,
                 "the interval from {state:?} to {next:?} does not close");
 
-            // [18], the definition, is [19] with [20].
+            // (18), the definition, is (19) with (20).
             let defined = quantised_force(from) * moved + quantised_potential(to) - quantised_potential(from);
             prop_assert!((generated(from, to) - defined).abs() <= 1e-12 * here.max(1.0));
-            // The exact bound on [19], and [26].
+            // The exact bound on (19), and (26).
             let slack = 1e-12 * here.max(1.0);
             prop_assert!(generated(from, to) <= generated_supremum(moved) + slack);
             prop_assert!(burnt >= dissipated_bound(parameters.beta, parameters.sigma, moved, 1.0) - slack);
@@ -78,13 +78,13 @@ proptest! {
                 break; // diverged: what is left to learn is only larger
             }
         }
-        // [13] over the whole run.
+        // (13) over the whole run.
         let stored = display.stored_energy(state) - start;
         prop_assert!((stored - (ledger.generated - ledger.dissipated + work)).abs() <= 1e-12 * in_play);
     }
 
-    /// The theorem on free and pushed runs: whenever [8] holds over all of a run, no more than
-    /// ⅛ K Δ² is given out beyond [17].
+    /// The theorem on free and pushed runs: whenever (8) holds over all of a run, no more than
+    /// ⅛ K Δ² is given out beyond (17).
     #[test]
     fn while_the_inequality_holds_at_most_an_eighth_is_given_out(
         mu in log_uniform(0.05, 200.0),
@@ -96,7 +96,7 @@ proptest! {
     ) {
         let parameters = Dimensionless { mu, beta, sigma };
         let display = Display::new(parameters).unwrap();
-        // A start that [8] allows.
+        // A start that (8) allows.
         let limit = if beta < 0.5 { (sigma - 0.5) / (0.5 - beta) } else { 10.0 };
         let mut state = State { position: xi0, velocity: share * limit.min(100.0) };
         let mut ledger = Ledger::default();
@@ -114,7 +114,7 @@ proptest! {
     }
 
     /// The theorem on paths that a hand imposes: at constant speeds, changed inside intervals
-    /// too, always as fast as [8] allows or slower. Also the sharper constant of region (a).
+    /// too, always as fast as (8) allows or slower. Also the sharper constant of region (a).
     #[test]
     fn nor_on_any_path_that_a_hand_drives(
         beta in prop_oneof![0.001..0.5f64, 0.5..1.0f64],
@@ -163,7 +163,7 @@ fn the_papers_bound_22_has_a_hole_and_the_exact_one_has_not() {
     assert!((generated(0.99, 1.49) - 0.49).abs() < 1e-12);
     assert!((generated_bound_of_the_paper(0.5) - 0.375).abs() < 1e-12);
     assert!(generated(0.99, 1.49) > generated_bound_of_the_paper(0.5));
-    // [21] is the step that fails: half the displacement is 0.25.
+    // (21) is the step that fails: half the displacement is 0.25.
     assert!(generated_by_quantisation(0.99, 1.49) > 0.25);
 
     // Over all starts: the exact supremum is approached, never passed; the paper's is passed by
@@ -187,14 +187,14 @@ fn the_papers_bound_22_has_a_hole_and_the_exact_one_has_not() {
         let excess = supremum - generated_bound_of_the_paper(d);
         assert!((-1e-12..=STORAGE + 1e-12).contains(&excess));
         if d == d.round() {
-            assert!(excess.abs() < 1e-12, "[22] is exact at whole counts");
+            assert!(excess.abs() < 1e-12, "(22) is exact at whole counts");
         }
         worst_excess = worst_excess.max(excess);
     }
     assert!((worst_excess - STORAGE).abs() < 1e-12);
 }
 
-/// The constant is needed: with [8] satisfied throughout, energy is given out.
+/// The constant is needed: with (8) satisfied throughout, energy is given out.
 #[test]
 fn an_eighth_is_reached() {
     let (beta, sigma) = (0.5, 0.5);

@@ -29,7 +29,7 @@ fn figure_5_has_the_known_cells_and_keeps_to_its_lines() {
         unstable[panel] += usize::from(grows);
         assert!(
             !(point.holds_at(v0) && grows),
-            "[10] holds for {point:?} from {v0}, and it grows"
+            "(10) holds for {point:?} from {v0}, and it grows"
         );
         criterion_false[panel] += usize::from(!point.holds_at(v0) && !grows);
         let predicted = describing_function(point.beta, point.sigma, v0) < 0.5;
@@ -46,7 +46,7 @@ fn figure_5_has_the_known_cells_and_keeps_to_its_lines() {
     println!(
         "unstable {unstable:?}, describing function missed {missed:?}, false {false_alarms:?}"
     );
-    println!("[10] calls unstable but is not: {criterion_false:?}");
+    println!("(10) calls unstable but is not: {criterion_false:?}");
     for panel in 0..4 {
         assert!(
             unstable[panel].abs_diff(UNSTABLE[panel]) <= 2,
@@ -56,7 +56,7 @@ fn figure_5_has_the_known_cells_and_keeps_to_its_lines() {
         assert_eq!(
             criterion_false[panel] + unstable[panel],
             5000,
-            "line [9] calls half the plane unstable"
+            "line (9) calls half the plane unstable"
         );
     }
     // The rules differ: the paper's takes slow moments of limit cycles for rest.
@@ -122,7 +122,7 @@ fn below_one_half_of_sigma_nothing_ever_rests() {
     }
 }
 
-/// The paper's [10] uses the initial velocity; from a displacement it is not [8].
+/// The paper's (10) uses the initial velocity; from a displacement it is not (8).
 #[test]
 fn the_initial_velocity_is_not_enough_for_a_start_under_load() {
     let parameters = Dimensionless {
@@ -135,7 +135,7 @@ fn the_initial_velocity_is_not_enough_for_a_start_under_load() {
         position: 0.994,
         velocity: 0.328,
     };
-    assert!(parameters.holds_at(start.velocity), "[10] holds");
+    assert!(parameters.holds_at(start.velocity), "(10) holds");
     let run = display.run(start, 50_000, |_, _| true);
     assert_eq!(run.classes.window, Class::Unstable);
     // With the peak speed that the start can reach, √(v² + Kx²/m), it does not.

@@ -119,8 +119,8 @@ fn the_edge_of_stability_lies_between_the_criterion_and_a_little_beyond_it() {
         scene.start.position = f64::from(sixteenths) / 16.0 * scene.config.count_rad();
         run(&scene).class
     };
-    // K = 1: [11] says 3.29 rad/s; the describing function 5.15.
-    // 10 rad/s: [11] says 0.388; the describing function 0.527, the runs 0.531 to 0.54.
+    // K = 1: (11) says 3.29 rad/s; the describing function 5.15.
+    // 10 rad/s: (11) says 0.388; the describing function 0.527, the runs 0.531 to 0.54.
     // Right at the edge a run may be caught by a large cycle that neither grows nor decays.
     for sixteenths in 0..16 {
         assert_eq!(class_from(1.0, 5.0, sixteenths), Class::Rest);
@@ -160,7 +160,7 @@ fn decimation_is_a_coarser_encoder() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
-    /// One core serves both units: [3] to [7] carry one run into the other.
+    /// One core serves both units: (3) to (7) carry one run into the other.
     #[test]
     fn physical_and_dimensionless_runs_are_the_same(
         stiffness in (-4.0..2.0f64).prop_map(f64::exp), counts in 20.0..20_000.0f64,

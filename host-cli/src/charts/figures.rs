@@ -40,7 +40,7 @@ pub fn regions() -> Result<String> {
             plane.write(at, (0, 24), lines[1], LABEL, GREY)?;
         }
         for (row, text) in [
-            "all critical lines [9] turn about (½, ½)",
+            "all critical lines (9) turn about (½, ½)",
             "with slope −|ξ̇|; passive on their right",
         ]
         .into_iter()
@@ -156,7 +156,7 @@ fn key(area: &Area<'_>, swept: &Swept, what: &str, describing: bool) -> Result<(
         .map_err(trouble)?;
     let y = 44;
     let mut x = 24;
-    let mut lines = vec![(RED, "critical lines [9] (dashed), flatter for slower")];
+    let mut lines = vec![(RED, "critical lines (9) (dashed), flatter for slower")];
     if describing {
         lines.push((
             BLUE,

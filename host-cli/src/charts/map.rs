@@ -116,7 +116,7 @@ fn draw_legend(swept: &Swept, area: &Area<'_>) -> Result<()> {
     let y = 44;
     let mut x = 24;
     for (dashed, colour, text) in [
-        (true, BLACK, "critical line [9]"),
+        (true, BLACK, "critical line (9)"),
         (false, BLUE, "describing function"),
     ] {
         let pieces = if dashed {

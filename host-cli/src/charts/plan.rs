@@ -87,7 +87,7 @@ impl<'a> PlanChart<'a> {
             .map_err(trouble)?;
         let level = |k: f64| vec![(SPEED.start, k), (SPEED.end, k)];
         let mut curves = vec![
-            (passive, GREEN, 3, "passive by [11] and 2c/Δ".to_owned()),
+            (passive, GREEN, 3, "passive by (11) and 2c/Δ".to_owned()),
             (
                 growing,
                 RED,

@@ -1,4 +1,4 @@
-//! The (β, σ) plane with its four regions and the critical line [9].
+//! The (β, σ) plane with its four regions and the critical line (9).
 
 use anyhow::Result;
 use control::criterion::{Dimensionless, critical_sigma};
@@ -75,7 +75,7 @@ impl<'a> Plane<'a> {
         Ok(())
     }
 
-    /// The critical line [9] at a speed in counts per sample, dashed.
+    /// The critical line (9) at a speed in counts per sample, dashed.
     pub fn critical_line(&mut self, speed: f64, colour: RGBColor) -> Result<()> {
         let point = |beta: f64| (beta, critical_sigma(beta, speed));
         self.dashes(

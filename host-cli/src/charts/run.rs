@@ -139,7 +139,7 @@ impl<'a> RunChart<'a> {
                 short(config.period_s * 1e3),
                 short(scene.start.velocity)
             ),
-            verdict: format!("region {region}; [10] {holds} at the start; outcome: {class}"),
+            verdict: format!("region {region}; (10) {holds} at the start; outcome: {class}"),
             class: report.class,
             point,
             speed: scene.start.velocity * config.period_s / count_rad,

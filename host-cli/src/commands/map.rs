@@ -433,9 +433,9 @@ struct Tally {
 /// How a panel compares with what was predicted, in cells.
 #[derive(Default, Serialize)]
 struct Predictions {
-    /// Satisfies [10] and is unstable: must be 0.
+    /// Satisfies (10) and is unstable: must be 0.
     criterion_missed: usize,
-    /// Violates [10] and is not unstable: the criterion is sufficient, not necessary.
+    /// Violates (10) and is not unstable: the criterion is sufficient, not necessary.
     criterion_false: usize,
     /// Unstable on the stable side of the describing-function line.
     describing_function_missed: usize,
@@ -546,7 +546,7 @@ impl Swept {
             "           window rule                      paper's rule                     of the unstable, missed by"
         );
         println!(
-            "      v₀   rest   cycle  unstable  unclear  rest   cycle  unstable  unclear  [10]  describing function"
+            "      v₀   rest   cycle  unstable  unclear  rest   cycle  unstable  unclear  (10)  describing function"
         );
         for (panel, text) in self.v0.iter().enumerate() {
             let window = self.tally(panel, Rule::Window);

@@ -19,14 +19,14 @@ use crate::{number, scene};
 
 /// How stiff can this device be, and what would a wanted stiffness need?
 ///
-/// The device comes from --motor or from a file with the tables [device] and [loop] of a
+/// The device comes from --motor or from a file with the tables device and loop of a
 /// scene; without either it is the paper's RE35.
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  knob plan --motor re35 --stiffness 1\n  knob plan my-knob.toml --plot plan.svg"
 )]
 pub struct Args {
-    /// A device file (TOML): [device] and [loop], as in a scene
+    /// A device file (TOML): the tables device and loop, as in a scene
     #[arg(value_name = "DEVICE.toml", conflicts_with = "motor")]
     device: Option<PathBuf>,
     /// A known device
@@ -85,7 +85,7 @@ pub struct Plan {
 #[derive(Serialize)]
 struct AtSpeed {
     speed_rad_s: f64,
-    /// By [11]; also at most 2c/Δ, or it never comes to rest.
+    /// By (11); also at most 2c/Δ, or it never comes to rest.
     largest_stiffness_nm_rad: f64,
     /// Where oscillation is expected to grow; an estimate, not a guarantee.
     describing_function_nm_rad: f64,
@@ -100,7 +100,7 @@ struct Wanted {
     sigma: f64,
     region: char,
     passive_at_every_speed: bool,
-    /// Up to which speed [11] holds; null: at every speed, or at none (region b, c).
+    /// Up to which speed (11) holds; null: at every speed, or at none (region b, c).
     passive_up_to_rad_s: Option<f64>,
     /// What passivity at every speed asks for, all of it together.
     every_speed: Everything,
@@ -240,7 +240,7 @@ impl Plan {
             "  passive at every speed (the smaller):  {:>10.4}",
             self.largest_stiffness_nm_rad
         );
-        println!("  at a speed:      passive, by [11]   grows from about (an estimate)");
+        println!("  at a speed:      passive, by (11)   grows from about (an estimate)");
         for at in &self.at_speed {
             println!(
                 "  {:>6} rad/s        {:>10.4}          {:>10.4}",

@@ -19,7 +19,7 @@ use crate::{number, scene};
 
 /// Run one scene, or one dimensionless display, on the exact plant.
 ///
-/// Either a scene file, or all of --mu --beta --sigma --v0 --samples for the display [6].
+/// Either a scene file, or all of --mu --beta --sigma --v0 --samples for the display (6).
 #[derive(clap::Args)]
 #[command(
     allow_negative_numbers = true,
@@ -158,7 +158,7 @@ fn run_display(
         json.region
     );
     println!(
-        "criterion    [10] {} at {} counts per sample",
+        "criterion    (10) {} at {} counts per sample",
         if json.criterion_holds_at_start {
             "holds"
         } else {
