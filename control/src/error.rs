@@ -1,4 +1,5 @@
 use crate::real::Real;
+use crate::tick::Interval;
 
 /// A configuration that no tick may run with: which value, and what would do.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -18,6 +19,16 @@ pub enum ConfigError {
         name: &'static str,
         /// What was given.
         value: f64,
+    },
+    /// An interval that is not finite, negative, or reversed.
+    #[error("{name} is [{low}, {high}]; accepted: finite, 0 or more, the lower end first")]
+    Interval {
+        /// Which quantity, with its unit.
+        name: &'static str,
+        /// The lower end given.
+        low: f64,
+        /// The upper end given.
+        high: f64,
     },
     /// An angle lies further from zero than counts can say.
     #[error("{name} is {value} rad, more than 2^30 counts from zero; accepted: up to {limit} rad")]
@@ -54,5 +65,15 @@ pub(crate) fn not_negative<T: Real>(name: &'static str, value: T) -> Result<T, C
         Ok(value)
     } else {
         Err(ConfigError::Negative { name, value: seen })
+    }
+}
+
+/// `value`, if it is finite, not negative and not reversed.
+pub(crate) fn interval(name: &'static str, value: &Interval) -> Result<Interval, ConfigError> {
+    let Interval { low, high } = *value;
+    if 0.0 <= low && low <= high && high < f64::INFINITY {
+        Ok(*value)
+    } else {
+        Err(ConfigError::Interval { name, low, high })
     }
 }

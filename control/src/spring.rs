@@ -11,8 +11,8 @@ pub enum Side {
     Above,
 }
 
-/// A spring of unit-free shape: what it needs to know to turn a count into a
-/// deflection. The stiffness comes with every tick. Valid by construction.
+/// Where a spring is: what turns a count into a deflection. Its torque is −K·q (2), on
+/// the free side of a wall 0; the stiffness K comes with every tick. Valid by construction.
 ///
 /// The sensed deflection of count n is q = (n + ½)Δ − zero: the +½ of (2) makes the
 /// force symmetric about a zero on a count edge and bounds the error of the position by Δ/2.
@@ -61,27 +61,23 @@ impl SampledSpring {
     }
 
     /// q of a count, rad.
+    ///
+    /// ```
+    /// use control::spring::{SampledSpring, Side};
+    /// let spring = SampledSpring::new(Side::Both, 0.0, 0.5)?;
+    /// assert_eq!(spring.deflection_rad(0), 0.25); // Δ/2: the middle of the cell
+    /// assert_eq!(spring.deflection_rad(-1), -0.25);
+    /// # Ok::<(), control::ConfigError>(())
+    /// ```
     #[must_use]
     pub fn deflection_rad(&self, count: i32) -> f32 {
         count.wrapping_sub(self.zero_count) as f32 * self.count_rad - self.offset_rad
     }
 
-    /// The torque −K·q (2) at a count, Nm, for K in Nm/rad; 0 on the free side of a wall.
-    ///
-    /// ```
-    /// use control::spring::{SampledSpring, Side};
-    /// let wall = SampledSpring::new(Side::Above, 0.0, 0.5)?;
-    /// assert_eq!(wall.torque_nm(0, 2.0), -0.5); // K·Δ/2 as soon as it is touched
-    /// assert_eq!(wall.torque_nm(-1, 2.0), 0.0);
-    /// # Ok::<(), control::ConfigError>(())
-    /// ```
+    /// On which side of its zero it acts.
     #[must_use]
-    pub fn torque_nm(&self, count: i32, stiffness: f32) -> f32 {
-        let deflection = self.deflection_rad(count);
-        if self.side == Side::Above && deflection <= 0.0 {
-            return 0.0;
-        }
-        -(stiffness * deflection)
+    pub fn side(&self) -> Side {
+        self.side
     }
 }
 
@@ -94,28 +90,22 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(2000))]
 
         #[test]
-        fn torque_is_minus_k_q_for_a_zero_anywhere(
-            zero in -1e3..1e3f64, count_rad in (-10.0..0.0f64).prop_map(f64::exp),
-            near in -1000i32..1000, stiffness in 0.0..1e3f32,
+        fn the_deflection_keeps_its_digits_for_a_zero_anywhere(
+            zero in -1e3..1e3f64, count_rad in (-10.0..0.0f64).prop_map(f64::exp), near in -1000i32..1000,
         ) {
             let n = (zero / count_rad).floor() as i32 + near;
             let q = (f64::from(n) + 0.5) * count_rad - zero;
-            let want = -f64::from(stiffness) * q;
-            // q itself loses no digit to the distance from zero, only to its own size.
-            let tolerance = 4.0 * f64::from(f32::EPSILON)
-                * f64::from(stiffness) * (q.abs() + count_rad) + 1e-11;
+            // q loses no digit to the distance from zero, only to its own size.
+            let tolerance = 2.0 * f64::from(f32::EPSILON) * (q.abs() + count_rad) + 1e-11;
             let spring = SampledSpring::new(Side::Both, zero, count_rad).unwrap();
-            prop_assert!((f64::from(spring.torque_nm(n, stiffness)) - want).abs() <= tolerance);
-            let wall = SampledSpring::new(Side::Above, zero, count_rad).unwrap();
-            let want = if q > 0.0 { want } else { 0.0 };
-            prop_assert!((f64::from(wall.torque_nm(n, stiffness)) - want).abs() <= tolerance);
+            prop_assert!((f64::from(spring.deflection_rad(n)) - q).abs() <= tolerance);
         }
 
         #[test]
         fn a_spring_on_a_count_edge_is_symmetric(n in 0i32..1_000_000, edge in -1000i32..1000) {
             let count_rad = core::f64::consts::TAU / 8192.0;
             let spring = SampledSpring::new(Side::Both, f64::from(edge) * count_rad, count_rad).unwrap();
-            let (above, below) = (spring.torque_nm(edge + n, 1.0), spring.torque_nm(edge - 1 - n, 1.0));
+            let (above, below) = (spring.deflection_rad(edge + n), spring.deflection_rad(edge - 1 - n));
             prop_assert!((above + below).abs() <= 2.0 * f32::EPSILON * above.abs() + 1e-10);
         }
     }

@@ -1,12 +1,16 @@
 //! One tick: a hardware count in, a torque out, and how passive that was.
 //!
-//! The tick has no error path: everything it takes was validated by
-//! [`Controller::new`]. It computes in `f32` with + − × ÷ only.
+//! The tick has no error path: everything it takes was validated by [`Plan::new`]. It computes
+//! in `f32` with + − × ÷ only, so host and chip agree to the last bit.
+//!
+//! Stiffness may fall in any tick, but rises only at zero force: raising it by ΔK at a
+//! deflection q would add ½ ΔK q² to the display. Zero force is the free side of a
+//! wall, or a cell that touches the spring's zero, where at most ½ ΔK Δ² is added.
 
 use crate::criterion::{Criterion, Device, Sampling};
 use crate::encoder::{Encoder, EncoderConfig};
-use crate::error::{ConfigError, not_negative, positive};
-use crate::real::smaller;
+use crate::error::{ConfigError, interval, not_negative, positive};
+use crate::real::{magnitude, smaller};
 use crate::spring::{SampledSpring, Side};
 
 /// What decides the stiffness that is applied.
@@ -16,14 +20,61 @@ pub enum Law {
     Raw,
     /// At most min(2b/T, 2c/Δ), which is passive at every speed.
     Static,
+    /// At most what (11) allows at the worst speed seen in this contact, and at most 2c/Δ,
+    /// or it would never rest. Within a contact the stiffness only falls; it is released at
+    /// zero force. Until a speed has been seen, as [`Law::Static`].
+    Episode,
+}
+
+/// A quantity that is known to lie between two values.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Interval {
+    /// The least it may be.
+    pub low: f64,
+    /// The most it may be.
+    pub high: f64,
+}
+
+impl Interval {
+    /// A quantity that is believed to be known exactly.
+    #[must_use]
+    pub fn exactly(value: f64) -> Self {
+        Self {
+            low: value,
+            high: value,
+        }
+    }
+}
+
+/// A device as it is believed to be, in SI units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Believed {
+    /// m, kg m².
+    pub inertia_kg_m2: Interval,
+    /// b, Nm s/rad.
+    pub viscous_nm_s_rad: Interval,
+    /// c, Nm.
+    pub coulomb_nm: Interval,
+}
+
+impl Believed {
+    /// A device whose values are believed to be known exactly.
+    #[must_use]
+    pub fn exactly(device: &Device<f64>) -> Self {
+        Self {
+            inertia_kg_m2: Interval::exactly(device.inertia_kg_m2),
+            viscous_nm_s_rad: Interval::exactly(device.viscous_nm_s_rad),
+            coulomb_nm: Interval::exactly(device.coulomb_nm),
+        }
+    }
 }
 
 /// Everything a controller is told. Plain data, in `f64` and SI units; checked once,
-/// by [`Controller::new`].
+/// by [`Plan::new`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Config {
-    /// The device as it is believed to be.
-    pub device: Device<f64>,
+    /// The device as it is believed to be; its least friction counts.
+    pub believed: Believed,
     /// The sample period T, s.
     pub period_s: f64,
     /// The size of one hardware count, before decimation, rad.
@@ -38,6 +89,8 @@ pub struct Config {
     pub stiffness_nm_rad: f64,
     /// The law that decides how much of it is applied.
     pub law: Law,
+    /// The largest torque commanded, in magnitude, Nm.
+    pub torque_max_nm: f64,
 }
 
 impl Config {
@@ -48,11 +101,30 @@ impl Config {
     }
 }
 
+/// Why the stiffness or the torque is less than demanded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reason {
+    /// It is not.
+    None,
+    /// Sampled too slowly for this viscous friction: 2b/T.
+    Viscous,
+    /// Encoder too coarse for this Coulomb friction: 2c/Δ.
+    Coulomb,
+    /// Too fast in this contact: 2(b|ẋ| + c)/(T|ẋ| + Δ).
+    Speed,
+    /// It may rise only at zero force, and waits for it.
+    ZeroForce,
+    /// The torque limit.
+    Torque,
+}
+
 /// What one tick decided.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tick {
     /// The decimated count n.
     pub count: i32,
+    /// Counts moved since the last tick.
+    pub moved: i32,
     /// The torque to hold until the next tick, Nm.
     pub torque_nm: f32,
     /// The stiffness applied, Nm/rad.
@@ -61,43 +133,44 @@ pub struct Tick {
     /// mean speeds that the counts of the last period allow, Nm. The first tick has
     /// seen no motion and answers for a knob at rest.
     pub margin_nm: f32,
+    /// Why less is applied than demanded.
+    pub reason: Reason,
 }
 
-/// A sampled spring, with the criterion that watches it.
+/// A configuration that was checked, in the form that the tick uses.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Controller {
+pub struct Plan {
     criterion: Criterion<f32>,
     spring: SampledSpring,
-    encoder: Encoder,
-    stiffness_nm_rad: f32,
+    encoder: EncoderConfig,
+    law: Law,
+    demanded_nm_rad: f32,
+    /// What the law allows at every speed, and why not more.
+    limit_nm_rad: f32,
+    limit_reason: Reason,
+    torque_max_nm: f32,
+    half_count_rad: f32,
     /// Δ/T, rad/s: the speed of one count per sample.
     count_speed_rad_s: f32,
-    seen: bool,
 }
 
-impl Controller {
-    /// A controller for a knob that stands at `hardware_count` counts from zero now.
+impl Plan {
+    /// Checks a configuration.
     ///
     /// # Errors
-    /// Refuses what is not finite or has the wrong sign, by name and value.
-    pub fn new(config: &Config, hardware_count: i32) -> Result<Self, ConfigError> {
-        let device = Criterion::new(
-            config.device,
-            Sampling {
-                period_s: config.period_s,
-                count_rad: positive("count size (rad)", config.count_rad())?,
-            },
-        )?;
-        let Device {
-            inertia_kg_m2,
-            viscous_nm_s_rad,
-            coulomb_nm,
-        } = *device.device();
+    /// Refuses what is not finite or has the wrong sign, by name and value, and an interval
+    /// that is reversed.
+    pub fn new(config: &Config) -> Result<Self, ConfigError> {
+        let believed = &config.believed;
+        let inertia = interval("inertia (kg m²)", &believed.inertia_kg_m2)?;
+        let viscous = interval("viscous friction (Nm s/rad)", &believed.viscous_nm_s_rad)?;
+        let coulomb = interval("Coulomb friction (Nm)", &believed.coulomb_nm)?;
+        positive("count size (rad)", config.count_rad())?;
         let criterion = Criterion::new(
             Device {
-                inertia_kg_m2: inertia_kg_m2 as f32,
-                viscous_nm_s_rad: viscous_nm_s_rad as f32,
-                coulomb_nm: coulomb_nm as f32,
+                inertia_kg_m2: inertia.low as f32,
+                viscous_nm_s_rad: viscous.low as f32,
+                coulomb_nm: coulomb.low as f32,
             },
             Sampling {
                 period_s: config.period_s as f32,
@@ -105,65 +178,194 @@ impl Controller {
             },
         )?;
         let demanded = not_negative("stiffness (Nm/rad)", config.stiffness_nm_rad as f32)?;
-        let sampling = criterion.sampling();
+        let sampling = *criterion.sampling();
+        let (viscous_limit, coulomb_limit) = (criterion.viscous_limit(), criterion.coulomb_limit());
+        let (limit, limit_reason) = match config.law {
+            Law::Raw => (demanded, Reason::None),
+            Law::Static if viscous_limit < coulomb_limit => (viscous_limit, Reason::Viscous),
+            Law::Static | Law::Episode => (coulomb_limit, Reason::Coulomb),
+        };
         Ok(Self {
             spring: SampledSpring::new(config.side, config.zero_rad, config.count_rad())?,
-            encoder: Encoder::new(config.encoder, hardware_count),
-            stiffness_nm_rad: match config.law {
-                Law::Raw => demanded,
-                Law::Static => smaller(demanded, criterion.largest_stiffness()),
+            encoder: config.encoder,
+            law: config.law,
+            demanded_nm_rad: demanded,
+            limit_nm_rad: smaller(demanded, limit),
+            limit_reason: if demanded > limit {
+                limit_reason
+            } else {
+                Reason::None
             },
+            torque_max_nm: not_negative("torque limit (Nm)", config.torque_max_nm as f32)?,
+            half_count_rad: 0.5 * sampling.count_rad,
             count_speed_rad_s: positive(
                 "count / sample period (rad/s)",
                 sampling.count_rad / sampling.period_s,
             )?,
             criterion,
-            seen: false,
         })
+    }
+
+    /// The demanded stiffness, Nm/rad.
+    #[must_use]
+    pub fn demanded_nm_rad(&self) -> f32 {
+        self.demanded_nm_rad
+    }
+
+    /// T, s.
+    #[must_use]
+    pub fn period_s(&self) -> f32 {
+        self.criterion.sampling().period_s
+    }
+
+    /// Δ/T: the speed of one count per sample, rad/s.
+    #[must_use]
+    pub fn count_speed_rad_s(&self) -> f32 {
+        self.count_speed_rad_s
+    }
+
+    /// How the hardware counter is read.
+    #[must_use]
+    pub fn encoder(&self) -> EncoderConfig {
+        self.encoder
+    }
+}
+
+/// A sampled spring, with the criterion that watches it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Controller {
+    plan: Plan,
+    encoder: Encoder,
+    applied_nm_rad: f32,
+    /// The least that (11) allowed in this contact, Nm/rad.
+    contact_limit_nm_rad: f32,
+    /// A tick has run, so that the next one knows how far the knob moved.
+    seen: bool,
+}
+
+impl Controller {
+    /// A controller for a knob that stands at `hardware_count` counts from zero now, and
+    /// renders at once, also under load.
+    #[must_use]
+    pub fn new(plan: Plan, hardware_count: i32) -> Self {
+        Self {
+            plan,
+            encoder: Encoder::new(plan.encoder, hardware_count),
+            applied_nm_rad: match plan.law {
+                Law::Raw | Law::Static => plan.limit_nm_rad,
+                Law::Episode => smaller(plan.limit_nm_rad, plan.criterion.largest_stiffness()),
+            },
+            contact_limit_nm_rad: plan.criterion.largest_stiffness(),
+            seen: false,
+        }
+    }
+
+    /// Lets go: no stiffness is applied until the knob passes zero force.
+    pub fn release(&mut self) {
+        self.applied_nm_rad = 0.0;
+    }
+
+    /// Takes another plan with the same encoder. What is felt changes without a step upwards:
+    /// the stiffness falls at once where it must, and rises at zero force; a spring or wall
+    /// that was moved is let go first.
+    pub fn adopt(&mut self, plan: Plan) {
+        if plan.spring != self.plan.spring {
+            self.release();
+        }
+        // What this contact has allowed so far was found with other values.
+        if plan.criterion != self.plan.criterion || plan.law != self.plan.law {
+            self.contact_limit_nm_rad = plan.criterion.largest_stiffness();
+        }
+        self.plan = plan;
+    }
+
+    /// The plan in force.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
     }
 
     /// One sample: takes the hardware counter, returns the torque to hold.
     pub fn tick(&mut self, hardware_counter: u32) -> Tick {
+        let plan = &self.plan;
         let before = self.encoder.count();
         let count = self.encoder.update(hardware_counter);
-        let stiffness_nm_rad = self.stiffness_nm_rad;
-        let margin_nm = if self.seen {
-            self.worst_margin_nm(stiffness_nm_rad, count.wrapping_sub(before))
+        let moved = count.wrapping_sub(before);
+        // `moved` counts in one period put the mean speed between these.
+        let counts = moved.unsigned_abs();
+        let slow = counts.saturating_sub(1) as f32 * plan.count_speed_rad_s;
+        let fast = if self.seen {
+            counts.saturating_add(1) as f32 * plan.count_speed_rad_s
         } else {
-            self.criterion.power_margin_nm(stiffness_nm_rad, 0.0)
+            0.0
         };
+
+        let deflection = plan.spring.deflection_rad(count);
+        let free = plan.spring.side() == Side::Above && deflection <= 0.0;
+        let zero_force = free || magnitude(deflection) <= plan.half_count_rad;
+
+        let mut target = plan.limit_nm_rad;
+        let mut reason = plan.limit_reason;
+        if plan.law == Law::Episode {
+            // Where 2b/T < 2c/Δ the limit falls with speed, so the fast end is the worse
+            // one; else it never falls below 2c/Δ, which the target keeps to anyway.
+            let now = if self.seen {
+                plan.criterion.largest_stiffness_at(fast)
+            } else {
+                plan.criterion.largest_stiffness()
+            };
+            if (zero_force && self.seen) || now < self.contact_limit_nm_rad {
+                self.contact_limit_nm_rad = now;
+            }
+            if self.contact_limit_nm_rad < target {
+                target = self.contact_limit_nm_rad;
+                reason = Reason::Speed;
+            }
+        }
+        if target <= self.applied_nm_rad || zero_force {
+            self.applied_nm_rad = target;
+        } else {
+            reason = Reason::ZeroForce;
+        }
         self.seen = true;
+
+        let stiffness = self.applied_nm_rad;
+        let mut torque = if free { 0.0 } else { -(stiffness * deflection) };
+        if torque > plan.torque_max_nm {
+            torque = plan.torque_max_nm;
+            reason = Reason::Torque;
+        } else if torque < -plan.torque_max_nm {
+            torque = -plan.torque_max_nm;
+            reason = Reason::Torque;
+        }
         Tick {
             count,
-            torque_nm: self.spring.torque_nm(count, stiffness_nm_rad),
-            stiffness_nm_rad,
-            margin_nm,
+            moved,
+            torque_nm: torque,
+            stiffness_nm_rad: stiffness,
+            // Affine in the speed: one of the ends is the worst.
+            margin_nm: smaller(
+                plan.criterion.power_margin_nm(stiffness, slow),
+                plan.criterion.power_margin_nm(stiffness, fast),
+            ),
+            reason,
         }
-    }
-
-    /// `moved` counts in one period put the mean speed between (|moved| − 1)₊ Δ/T and
-    /// (|moved| + 1) Δ/T. The margin is affine in the speed: one of the ends is the worst.
-    fn worst_margin_nm(&self, stiffness: f32, moved: i32) -> f32 {
-        let counts = moved.unsigned_abs();
-        let slow = counts.saturating_sub(1) as f32 * self.count_speed_rad_s;
-        let fast = counts.saturating_add(1) as f32 * self.count_speed_rad_s;
-        smaller(
-            self.criterion.power_margin_nm(stiffness, slow),
-            self.criterion.power_margin_nm(stiffness, fast),
-        )
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    const COUNT: f32 = core::f32::consts::TAU / 8192.0;
 
     fn re35(law: Law, stiffness_nm_rad: f64) -> Config {
         Config {
-            device: Device {
-                inertia_kg_m2: 6.28e-6,
-                viscous_nm_s_rad: 9e-6,
-                coulomb_nm: 2e-3,
+            believed: Believed {
+                inertia_kg_m2: Interval::exactly(6.28e-6),
+                viscous_nm_s_rad: Interval::exactly(9e-6),
+                coulomb_nm: Interval::exactly(2e-3),
             },
             period_s: 1e-3,
             hardware_count_rad: core::f64::consts::TAU / 8192.0,
@@ -172,56 +374,171 @@ mod tests {
             zero_rad: 0.0,
             stiffness_nm_rad,
             law,
+            torque_max_nm: 0.5,
         }
+    }
+
+    fn controller(config: &Config) -> Controller {
+        Controller::new(Plan::new(config).unwrap(), 0)
     }
 
     #[test]
     fn raw_applies_the_demand_and_static_what_is_passive_at_every_speed() {
-        let count = core::f32::consts::TAU / 8192.0;
-        let tick = Controller::new(&re35(Law::Raw, 1.0), 0).unwrap().tick(10);
-        assert_eq!(tick.stiffness_nm_rad, 1.0);
-        assert!((tick.torque_nm + 10.5 * count).abs() < 1e-8);
-        let tick = Controller::new(&re35(Law::Static, 1.0), 0)
-            .unwrap()
-            .tick(10);
+        let tick = controller(&re35(Law::Raw, 1.0)).tick(10);
+        assert_eq!((tick.stiffness_nm_rad, tick.reason), (1.0, Reason::None));
+        assert!((tick.torque_nm + 10.5 * COUNT).abs() < 1e-8);
+        let tick = controller(&re35(Law::Static, 1.0)).tick(10);
         assert!((tick.stiffness_nm_rad - 0.018).abs() < 1e-8);
-        assert!((tick.torque_nm + 0.018 * 10.5 * count).abs() < 1e-8);
-        let tick = Controller::new(&re35(Law::Static, 0.01), 0)
-            .unwrap()
-            .tick(10);
-        assert_eq!(tick.stiffness_nm_rad, 0.01);
+        assert_eq!(tick.reason, Reason::Viscous);
+        assert!((tick.torque_nm + 0.018 * 10.5 * COUNT).abs() < 1e-8);
+        let tick = controller(&re35(Law::Static, 0.01)).tick(10);
+        assert_eq!((tick.stiffness_nm_rad, tick.reason), (0.01, Reason::None));
+        let mut coarse = re35(Law::Static, 1.0);
+        coarse.hardware_count_rad = core::f64::consts::TAU / 20.0;
+        let tick = controller(&coarse).tick(0);
+        assert!((f64::from(tick.stiffness_nm_rad) - 4e-3 / coarse.count_rad()).abs() < 1e-8);
+        assert_eq!(tick.reason, Reason::Coulomb);
     }
 
     #[test]
     fn the_margin_is_the_worst_over_the_speeds_the_counts_allow() {
-        let config = re35(Law::Raw, 1.0);
-        let mut controller = Controller::new(&config, 0).unwrap();
-        let m =
-            |speed: f32| (9e-6 - 0.5e-3) * speed + (2e-3 - 0.5 * core::f32::consts::TAU / 8192.0);
-        let count_speed = core::f32::consts::TAU / 8.192;
-        assert!((controller.tick(0).margin_nm - m(0.0)).abs() < 1e-9);
+        let mut stiff = controller(&re35(Law::Raw, 1.0));
+        let m = |speed: f32| (9e-6 - 0.5e-3) * speed + (2e-3 - 0.5 * COUNT);
+        let count_speed = COUNT / 1e-3;
+        assert!((stiff.tick(0).margin_nm - m(0.0)).abs() < 1e-9);
         // Moved by 3 counts, either way: between 2 and 4 counts per sample, 4 is worse.
-        assert!((controller.tick(3).margin_nm - m(4.0 * count_speed)).abs() < 1e-8);
-        assert!((controller.tick(0).margin_nm - m(4.0 * count_speed)).abs() < 1e-8);
-        assert!((controller.tick(0).margin_nm - m(count_speed)).abs() < 1e-8);
+        assert!((stiff.tick(3).margin_nm - m(4.0 * count_speed)).abs() < 1e-8);
+        assert!((stiff.tick(0).margin_nm - m(4.0 * count_speed)).abs() < 1e-8);
+        assert!((stiff.tick(0).margin_nm - m(count_speed)).abs() < 1e-8);
         // Where viscous friction wins, the slow end is worse.
-        let mut soft = Controller::new(&re35(Law::Raw, 0.01), 0).unwrap();
+        let mut soft = controller(&re35(Law::Raw, 0.01));
         soft.tick(0);
-        let want =
-            (9e-6 - 0.5e-5) * 2.0 * count_speed + (2e-3 - 0.005 * core::f32::consts::TAU / 8192.0);
+        let want = (9e-6 - 0.5e-5) * 2.0 * count_speed + (2e-3 - 0.005 * COUNT);
         assert!((soft.tick(3).margin_nm - want).abs() < 1e-8);
+    }
+
+    #[test]
+    fn an_episode_remembers_its_worst_speed_until_zero_force() {
+        let mut config = re35(Law::Episode, 1e3);
+        config.side = Side::Above;
+        let limit = |counts: f32| {
+            let speed = counts * COUNT / 1e-3;
+            2.0 * (9e-6 * speed + 2e-3) / (1e-3 * speed + COUNT)
+        };
+        let near = |have: f32, want: f32| (have / want - 1.0).abs() < 1e-5;
+        let mut wall = controller(&config);
+        // Free, at rest: all that a speed of up to one count per sample allows.
+        wall.tick(0xFFFF_FF00);
+        let tick = wall.tick(0xFFFF_FF00);
+        assert!(near(tick.stiffness_nm_rad, limit(1.0)) && tick.reason == Reason::Speed);
+        // In at 5 counts per sample, then slower: the stiffness stays.
+        wall.tick(0xFFFF_FFF9);
+        wall.tick(0xFFFF_FFFE);
+        let hit = wall.tick(3);
+        assert!(near(hit.stiffness_nm_rad, limit(6.0)) && hit.torque_nm < 0.0);
+        for count in [5, 6, 6, 6, 5] {
+            let tick = wall.tick(count);
+            assert_eq!(
+                (tick.stiffness_nm_rad, tick.reason),
+                (hit.stiffness_nm_rad, Reason::Speed)
+            );
+        }
+        // A faster moment lowers it further, zero force releases it.
+        assert!(near(wall.tick(20).stiffness_nm_rad, limit(16.0)));
+        assert!(near(wall.tick(0xFFFF_FFFF).stiffness_nm_rad, limit(22.0)));
+        assert!(near(wall.tick(0xFFFF_FFFF).stiffness_nm_rad, limit(1.0)));
+    }
+
+    #[test]
+    fn stiffness_falls_at_once_and_rises_at_zero_force() {
+        let plan = |stiffness| Plan::new(&re35(Law::Raw, stiffness)).unwrap();
+        let mut spring = Controller::new(plan(0.5), 0);
+        assert_eq!(spring.tick(10).stiffness_nm_rad, 0.5);
+        spring.adopt(plan(0.2));
+        assert_eq!(spring.tick(10).stiffness_nm_rad, 0.2);
+        spring.adopt(plan(0.9));
+        let tick = spring.tick(12);
+        assert_eq!(
+            (tick.stiffness_nm_rad, tick.reason),
+            (0.2, Reason::ZeroForce)
+        );
+        assert_eq!(spring.tick(0).stiffness_nm_rad, 0.9);
+        // A spring that is moved is let go until the knob comes by its new centre.
+        let mut moved = re35(Law::Raw, 0.9);
+        moved.zero_rad = 20.0 * moved.count_rad();
+        spring.adopt(Plan::new(&moved).unwrap());
+        let tick = spring.tick(3);
+        assert_eq!((tick.torque_nm, tick.reason), (0.0, Reason::ZeroForce));
+        assert_eq!(spring.tick(20).stiffness_nm_rad, 0.9);
+        // So is one that is released.
+        spring.release();
+        assert_eq!(spring.tick(25).torque_nm, 0.0);
+    }
+
+    #[test]
+    fn the_torque_limit_holds_and_says_so() {
+        let mut config = re35(Law::Raw, 100.0);
+        config.torque_max_nm = 0.01;
+        let mut spring = controller(&config);
+        for count in [5000, -5000_i32 as u32] {
+            let tick = spring.tick(count);
+            assert_eq!((tick.torque_nm.abs(), tick.reason), (0.01, Reason::Torque));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn stiffness_never_rises_under_load_nor_above_the_demand(
+            law in prop::sample::select(vec![Law::Raw, Law::Static, Law::Episode]),
+            demands in prop::collection::vec(0.0..20.0f64, 1..4),
+            steps in prop::collection::vec(-40i32..40, 1..200), wall in any::<bool>(),
+        ) {
+            let plan = |demand| {
+                let mut config = re35(law, demand);
+                config.side = if wall { Side::Above } else { Side::Both };
+                Plan::new(&config).unwrap()
+            };
+            let mut controller = Controller::new(plan(demands[0]), 0);
+            let mut position = 0_i32;
+            let mut before = controller.tick(0).stiffness_nm_rad;
+            for (i, step) in steps.iter().enumerate() {
+                let demand = demands[i * demands.len() / steps.len()];
+                controller.adopt(plan(demand));
+                position += step;
+                let tick = controller.tick(position as u32);
+                let loaded = if wall { position > 0 } else { !(-1..=0).contains(&position) };
+                prop_assert!(!loaded || tick.stiffness_nm_rad <= before);
+                prop_assert!(tick.stiffness_nm_rad <= demand as f32);
+                prop_assert!(tick.torque_nm.abs() <= 0.5 && tick.margin_nm.is_finite());
+                if law != Law::Raw {
+                    prop_assert!(tick.stiffness_nm_rad <= 5.2153);
+                }
+                let less = tick.stiffness_nm_rad < demand as f32;
+                prop_assert!(!less || tick.reason != Reason::None);
+                before = tick.stiffness_nm_rad;
+            }
+        }
     }
 
     #[test]
     fn a_configuration_that_no_tick_may_run_with_is_refused() {
         for bad in [-1.0, f64::NAN, f64::INFINITY, 1e300] {
-            assert!(
-                Controller::new(&re35(Law::Static, bad), 0).is_err(),
-                "{bad}"
-            );
+            assert!(Plan::new(&re35(Law::Static, bad)).is_err(), "{bad}");
+            let mut config = re35(Law::Raw, 1.0);
+            config.torque_max_nm = bad;
+            assert!(Plan::new(&config).is_err(), "{bad}");
         }
         let mut config = re35(Law::Raw, 1.0);
         config.hardware_count_rad = 1e-60; // above zero, but not in f32
-        assert!(Controller::new(&config, 0).is_err());
+        assert!(Plan::new(&config).is_err());
+        let mut config = re35(Law::Raw, 1.0);
+        config.believed.coulomb_nm = Interval {
+            low: 2e-3,
+            high: 1e-3,
+        };
+        assert_eq!(
+            Plan::new(&config).unwrap_err().to_string(),
+            "Coulomb friction (Nm) is [0.002, 0.001]; accepted: finite, 0 or more, the lower end first"
+        );
     }
 }

@@ -11,7 +11,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use control::criterion::Device;
 use control::encoder::EncoderConfig;
 use control::spring::Side;
-use control::tick::{Config, Law};
+use control::tick::{Believed, Config, Interval, Law};
 use plant_sim::closed_loop::Scene;
 use plant_sim::hold::State;
 use serde::Deserialize;
@@ -23,6 +23,8 @@ struct SceneFile {
     device: DeviceTable,
     #[serde(rename = "loop")]
     sampling: LoopTable,
+    #[serde(default)]
+    believed: BelievedTable,
     render: RenderTable,
     #[serde(default)]
     start: StartTable,
@@ -46,6 +48,40 @@ struct LoopTable {
     sample_period_s: f64,
     #[serde(default = "one")]
     decimation: u32,
+    /// No limit where it is not given.
+    #[serde(default = "unlimited")]
+    torque_max_nm: f64,
+}
+
+/// What the controller is told where that is not what is true.
+#[derive(Deserialize, Default)]
+#[serde(deny_unknown_fields)]
+struct BelievedTable {
+    inertia_kg_m2: Option<Belief>,
+    viscous_nm_s_rad: Option<Belief>,
+    coulomb_nm: Option<Belief>,
+}
+
+#[derive(Deserialize, Clone, Copy)]
+#[serde(untagged, expecting = "expected a number, or [low, high]")]
+enum Belief {
+    Exactly(f64),
+    Between([f64; 2]),
+}
+
+impl Belief {
+    /// The interval of a key: what is believed, or else the truth.
+    fn interval(key: &str, belief: Option<Self>, truth: f64) -> Result<Interval> {
+        let [low, high] = match belief {
+            None => [truth; 2],
+            Some(Self::Exactly(value)) => [value; 2],
+            Some(Self::Between(ends)) => ends,
+        };
+        if !(0.0 <= low && low <= high && high.is_finite()) {
+            bail!("{key} is [{low}, {high}]; accepted: finite, 0 or more, the lower end first");
+        }
+        Ok(Interval { low, high })
+    }
 }
 
 #[derive(Deserialize)]
@@ -63,6 +99,7 @@ struct RenderTable {
 enum LawName {
     Raw,
     Static,
+    Episode,
 }
 
 #[derive(Deserialize)]
@@ -106,6 +143,8 @@ struct DeviceFile {
     device: DeviceTable,
     #[serde(rename = "loop")]
     sampling: LoopTable,
+    #[serde(rename = "believed")]
+    _believed: Option<IgnoredAny>,
     #[serde(rename = "render")]
     _render: Option<IgnoredAny>,
     #[serde(rename = "start")]
@@ -133,6 +172,10 @@ impl SampledDevice {
 
 fn one() -> u32 {
     1
+}
+
+fn unlimited() -> f64 {
+    f64::from(f32::MAX)
 }
 
 /// Reads and checks a scene file.
@@ -181,10 +224,24 @@ pub fn parse(text: &str) -> Result<Scene> {
     if file.run.samples == 0 {
         bail!("run.samples is 0; accepted: a whole number from 1");
     }
+    let (told, device) = (&file.believed, &sampled.device);
+    let believed = Believed {
+        inertia_kg_m2: Belief::interval(
+            "believed.inertia_kg_m2",
+            told.inertia_kg_m2,
+            device.inertia_kg_m2,
+        )?,
+        viscous_nm_s_rad: Belief::interval(
+            "believed.viscous_nm_s_rad",
+            told.viscous_nm_s_rad,
+            device.viscous_nm_s_rad,
+        )?,
+        coulomb_nm: Belief::interval("believed.coulomb_nm", told.coulomb_nm, device.coulomb_nm)?,
+    };
     let scene = Scene {
         device: sampled.device,
         config: Config {
-            device: sampled.device,
+            believed,
             period_s: sampled.period_s,
             hardware_count_rad: sampled.hardware_count_rad,
             encoder: EncoderConfig::new(32, sampled.decimation)?,
@@ -194,7 +251,9 @@ pub fn parse(text: &str) -> Result<Scene> {
             law: match render.law {
                 LawName::Raw => Law::Raw,
                 LawName::Static => Law::Static,
+                LawName::Episode => Law::Episode,
             },
+            torque_max_nm: not_negative("loop.torque_max_nm", file.sampling.torque_max_nm)?,
         },
         start: State {
             position: file.start.angle_rad,

@@ -383,11 +383,25 @@ fn scene_files_that_make_no_sense_are_refused_with_file_key_and_value() {
     );
     change(
         "[start]",
-        "[believed]\ncoulomb_nm = 1e-3\n[start]",
-        &["believed"],
+        "[believed]\ncoulomb_nm = [2e-3, 1e-3]\n[start]",
+        &["believed.coulomb_nm is [0.002, 0.001]", "lower end first"],
+    );
+    change(
+        "[start]",
+        "[believed]\ncoulomb_nm = \"low\"\n[start]",
+        &["expected a number, or [low, high]"],
+    );
+    change(
+        "decimation = 1",
+        "torque_max_nm = -1",
+        &["loop.torque_max_nm is -1"],
     );
     change("[start]", "[hand]\npush_nm = 1e-3\n[start]", &["hand"]);
-    change("\"raw\"", "\"ledger\"", &["ledger", "raw", "static"]);
+    change(
+        "\"raw\"",
+        "\"ledger\"",
+        &["ledger", "raw", "static", "episode"],
+    );
     change("\"spring\"", "\"detent\"", &["detent", "spring", "wall"]);
     change("1.0\n", "-1.0\n", &["render.stiffness_nm_rad is -1"]);
     change("1.0\n", "nan\n", &["render.stiffness_nm_rad is NaN"]);

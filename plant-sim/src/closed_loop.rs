@@ -4,7 +4,7 @@
 use control::ConfigError;
 use control::criterion::Device;
 use control::spring::Side;
-use control::tick::{Config, Controller, Tick};
+use control::tick::{Config, Controller, Plan, Tick};
 
 use crate::energy::{self, Exchange, Ledger};
 use crate::hold::{Hold, State};
@@ -113,7 +113,10 @@ impl Scene {
         let count_rad = config.count_rad();
         let hold = Hold::new(&self.device, config.period_s)?;
         let hardware_count = |angle: f64| (angle / config.hardware_count_rad).floor() as i64;
-        let mut controller = Controller::new(config, hardware_count(self.start.position) as i32)?;
+        let mut controller = Controller::new(
+            Plan::new(config)?,
+            hardware_count(self.start.position) as i32,
+        );
         self.check_start()?;
         let potential = Potential {
             side: config.side,

@@ -4,7 +4,7 @@
 use control::criterion::{Criterion, Device, Region, Sampling};
 use control::encoder::EncoderConfig;
 use control::spring::Side;
-use control::tick::{Config, Law};
+use control::tick::{Believed, Config, Law};
 use plant_sim::closed_loop::{Report, Scene};
 use plant_sim::display::Display;
 use plant_sim::hold::{Hold, State};
@@ -20,7 +20,7 @@ fn scene(counts_per_rev: f64, decimation: u32, stiffness: f64, velocity: f64) ->
     Scene {
         device: re35(),
         config: Config {
-            device: re35(),
+            believed: Believed::exactly(&re35()),
             period_s: 1e-3,
             hardware_count_rad: std::f64::consts::TAU / counts_per_rev,
             encoder: EncoderConfig::new(16, decimation).unwrap(),
@@ -28,6 +28,7 @@ fn scene(counts_per_rev: f64, decimation: u32, stiffness: f64, velocity: f64) ->
             zero_rad: 0.0,
             stiffness_nm_rad: stiffness,
             law: Law::Raw,
+            torque_max_nm: 1e3,
         },
         start: State {
             position: 0.0,
