@@ -1,2 +1,11 @@
-//! What the acceptance tests share.
+//! What the acceptance tests share: the firmware run natively, and beside its image in the
+//! emulator.
 #![forbid(unsafe_code)]
+
+#[cfg(unix)]
+mod rig;
+mod twin;
+
+#[cfg(unix)]
+pub use rig::Rig;
+pub use twin::{Answer, Twin, answers, request_frame};

@@ -99,6 +99,14 @@ impl Encoder {
         self.count
     }
 
+    /// Hardware counts from zero at the last update, wrapped to 32 bits.
+    #[must_use]
+    pub fn hardware_count(&self) -> i32 {
+        self.count
+            .wrapping_mul(self.config.decimation.get() as i32)
+            .wrapping_add(self.residue as i32)
+    }
+
     /// The decimated count at the last update.
     #[must_use]
     pub fn count(&self) -> i32 {
@@ -148,6 +156,7 @@ mod tests {
                 let count = encoder.update(position as u32);
                 let expected = position.div_euclid(i64::from(decimation));
                 prop_assert_eq!(count, expected as i32);
+                prop_assert_eq!(encoder.hardware_count(), position as i32);
             }
         }
     }

@@ -279,6 +279,12 @@ impl Controller {
         self.plan = plan;
     }
 
+    /// Hardware counts from zero at the last tick, wrapped to 32 bits.
+    #[must_use]
+    pub fn hardware_count(&self) -> i32 {
+        self.encoder.hardware_count()
+    }
+
     /// The plan in force.
     #[must_use]
     pub fn plan(&self) -> &Plan {
@@ -286,6 +292,7 @@ impl Controller {
     }
 
     /// One sample: takes the hardware counter, returns the torque to hold.
+    #[inline]
     pub fn tick(&mut self, hardware_counter: u32) -> Tick {
         let plan = &self.plan;
         let before = self.encoder.count();

@@ -10,6 +10,7 @@
 //! - [`outcome`]: rest, limit cycle or divergence, by two rules;
 //! - [`kernel`] and [`map`]: many displays at once, the plane of Fig. 5;
 //! - [`closed_loop`]: a knob in physical units under the controller of [`control`];
+//! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
 //! - [`preset`]: devices known by name.
 //!
 //! Everything is `f64`. Equation numbers in parentheses are those of Diolaiti, Niemeyer,
@@ -21,6 +22,8 @@ pub mod display;
 pub mod energy;
 pub mod hold;
 pub mod kernel;
+#[cfg(unix)]
+pub mod lockstep;
 pub mod map;
 pub mod outcome;
 pub mod preset;

@@ -1,0 +1,317 @@
+//! What answers the host: reads frames, checks what they ask, hands commands to the tick, and
+//! sends what the tick has to tell. Runs below the tick and never keeps it waiting.
+
+use core::sync::atomic::Ordering::Relaxed;
+
+use control::tick::Reason;
+use protocol::{
+    Changes, ClampReason, Event, FRAME_MAX, Fields, Frames, FromDevice, Hello, Message, Name,
+    Parameters, Refusal, Request, State, Status, Subscription, Telemetry, ToDevice, VERSION,
+    decode, encode,
+};
+
+use crate::settings::{self, HIGHEST, LOWEST};
+use crate::ticker::{Command, Fault, Occasion, Record, StateCode};
+use crate::{CommandSender, Link, RecordReceiver};
+
+/// Who this is.
+#[derive(Debug, Clone, Copy)]
+pub struct Identity {
+    /// The firmware's version.
+    pub firmware: &'static str,
+    /// The source it was built from.
+    pub git_hash: &'static str,
+    /// The board.
+    pub board: &'static str,
+    /// Width of its encoder counter.
+    pub counter_bits: u32,
+}
+
+/// A request that the tick has not answered yet.
+#[derive(Debug, Clone, Copy)]
+struct Pending {
+    sequence: u16,
+    /// Commands taken once this one is.
+    taken: u16,
+    /// The parameters that are in force then.
+    parameters: Parameters,
+}
+
+/// The desk, and all that it owns.
+pub struct Desk<'a> {
+    identity: Identity,
+    parameters: Parameters,
+    subscription: Subscription,
+    pending: Option<Pending>,
+    frames: Frames,
+    bad_frames: u32,
+    /// The fault that the tick told of last.
+    fault: Fault,
+    /// Drops that the host has been told of.
+    dropped_told: u32,
+    unasked: u16,
+    link: &'a Link,
+    commands: CommandSender<'a>,
+    records: RecordReceiver<'a>,
+}
+
+impl<'a> Desk<'a> {
+    /// A desk for a tick that was started with these parameters.
+    #[must_use]
+    pub fn new(
+        identity: Identity,
+        parameters: Parameters,
+        link: &'a Link,
+        commands: CommandSender<'a>,
+        records: RecordReceiver<'a>,
+    ) -> Self {
+        Self {
+            identity,
+            parameters,
+            subscription: Subscription::default(),
+            pending: None,
+            frames: Frames::new(),
+            bad_frames: 0,
+            fault: Fault::Overrun,
+            dropped_told: 0,
+            unasked: 0,
+            link,
+            commands,
+            records,
+        }
+    }
+
+    /// Does all there is to do: answers what the tick has taken, reads what the host sent as long as
+    /// no request waits for the tick, sends what the tick has told.
+    pub fn serve(&mut self, mut read: impl FnMut() -> Option<u8>, mut write: impl FnMut(&[u8])) {
+        self.answer_pending(&mut write);
+        while self.pending.is_none() {
+            let Some(byte) = read() else { break };
+            let request = match self.frames.push(byte) {
+                None => continue,
+                Some(Ok(frame)) => decode::<ToDevice>(frame),
+                Some(Err(error)) => Err(error),
+            };
+            match request {
+                Ok(ToDevice { sequence, request }) => self.handle(sequence, &request, &mut write),
+                Err(_) => self.bad_frames = self.bad_frames.wrapping_add(1),
+            }
+        }
+        while let Some(record) = self.records.dequeue() {
+            self.tell(&record, &mut write);
+        }
+        let dropped = self.link.dropped.load(Relaxed);
+        if dropped != self.dropped_told {
+            self.dropped_told = dropped;
+            self.send_unasked(
+                Message::Event(Event::Dropped { total: dropped }),
+                &mut write,
+            );
+        }
+    }
+
+    fn state(&self) -> State {
+        self.state_of(self.link.status().state)
+    }
+
+    fn state_of(&self, code: StateCode) -> State {
+        match code {
+            StateCode::Disarmed => State::Disarmed,
+            StateCode::Armed => State::Armed,
+            StateCode::Fault => State::Fault(fault(self.fault)),
+        }
+    }
+
+    fn answer_pending(&mut self, write: &mut impl FnMut(&[u8])) {
+        let Some(pending) = self.pending else { return };
+        let status = self.link.status();
+        if status.taken != pending.taken {
+            return;
+        }
+        self.pending = None;
+        let message = if status.refused {
+            Message::Refused(Refusal::State(self.state_of(status.state)))
+        } else {
+            self.parameters = pending.parameters;
+            Message::Done {
+                tick: self.link.taken_at.load(Relaxed),
+            }
+        };
+        send(pending.sequence, message, write);
+    }
+
+    fn handle(&mut self, sequence: u16, request: &Request, write: &mut impl FnMut(&[u8])) {
+        let answer = match request {
+            Request::Hello { version } if *version == VERSION => Message::Hello(Hello {
+                version: VERSION,
+                firmware: self.identity.firmware,
+                git_hash: self.identity.git_hash,
+                board: self.identity.board,
+                lowest: LOWEST,
+                highest: HIGHEST,
+            }),
+            Request::Hello { .. } => Message::Refused(Refusal::Version { accepted: VERSION }),
+            Request::Get => Message::Parameters(self.parameters),
+            Request::Set(changes) => match self.settle(changes) {
+                Ok((command, parameters)) => {
+                    return self.command(sequence, command, parameters, write);
+                }
+                Err(refusal) => Message::Refused(refusal),
+            },
+            Request::Arm => return self.command(sequence, Command::Arm, self.parameters, write),
+            Request::Disarm => {
+                return self.command(sequence, Command::Disarm, self.parameters, write);
+            }
+            Request::Clear => {
+                return self.command(sequence, Command::Clear, self.parameters, write);
+            }
+            Request::Save => Message::Refused(Refusal::NoStorage),
+            Request::Subscribe(subscription) => {
+                self.subscription = *subscription;
+                self.link
+                    .every_ticks
+                    .store(u32::from(subscription.every_ticks), Relaxed);
+                self.link
+                    .clamp_events
+                    .store(u32::from(subscription.clamp_events), Relaxed);
+                Message::Done {
+                    tick: self.link.tick.load(Relaxed),
+                }
+            }
+            Request::Status => Message::Status(Status {
+                tick: self.link.tick.load(Relaxed),
+                state: self.state(),
+                dropped: self.link.dropped.load(Relaxed),
+                bad_frames: self.bad_frames,
+            }),
+        };
+        send(sequence, answer, write);
+    }
+
+    /// Checks a set of changes as a whole.
+    fn settle(&self, changes: &Changes) -> Result<(Command, Parameters), Refusal> {
+        let parameters = self.parameters.with(changes);
+        let settled = settings::settle(&parameters, self.identity.counter_bits)?;
+        if self.state() == State::Armed {
+            for (name, changed) in [
+                (
+                    Name::SamplePeriodS,
+                    parameters.sample_period_s != self.parameters.sample_period_s,
+                ),
+                (
+                    Name::Decimation,
+                    parameters.decimation != self.parameters.decimation,
+                ),
+                (
+                    Name::CountsPerRev,
+                    parameters.counts_per_rev != self.parameters.counts_per_rev,
+                ),
+            ] {
+                if changed {
+                    return Err(Refusal::Armed { name });
+                }
+            }
+        }
+        Ok((Command::Configure(settled), parameters))
+    }
+
+    /// Hands a command to the tick; it is answered when the tick has taken it.
+    fn command(
+        &mut self,
+        sequence: u16,
+        command: Command,
+        parameters: Parameters,
+        write: &mut impl FnMut(&[u8]),
+    ) {
+        let taken = self.link.status().taken.wrapping_add(1);
+        if self.commands.enqueue(command).is_ok() {
+            self.pending = Some(Pending {
+                sequence,
+                taken,
+                parameters,
+            });
+        } else {
+            // One command at a time is under way, so there is room; if not, nothing was done.
+            send(
+                sequence,
+                Message::Refused(Refusal::State(self.state())),
+                write,
+            );
+        }
+    }
+
+    fn tell(&mut self, record: &Record, write: &mut impl FnMut(&[u8])) {
+        let tick = &record.tick;
+        let armed = record.state == StateCode::Armed;
+        let message = match record.occasion {
+            Occasion::Fault(cause) => {
+                self.fault = cause;
+                Message::Event(Event::Fault {
+                    tick: record.number,
+                    fault: fault(cause),
+                })
+            }
+            Occasion::Clamp => Message::Event(Event::Clamp {
+                tick: record.number,
+                reason: clamp_reason(tick.reason),
+                stiffness_nm_rad: tick.stiffness_nm_rad,
+            }),
+            Occasion::Telemetry => {
+                let wanted = self.subscription.fields;
+                Message::Telemetry(Telemetry {
+                    tick: record.number,
+                    state: self.state_of(record.state),
+                    count: wanted.has(Fields::COUNT).then_some(tick.count),
+                    torque_nm: wanted.has(Fields::TORQUE).then_some(if armed {
+                        tick.torque_nm
+                    } else {
+                        0.0
+                    }),
+                    stiffness_nm_rad: wanted
+                        .has(Fields::STIFFNESS)
+                        .then_some(tick.stiffness_nm_rad),
+                    demanded_nm_rad: wanted
+                        .has(Fields::DEMANDED)
+                        .then_some(record.demanded_nm_rad),
+                    margin_nm: wanted.has(Fields::MARGIN).then_some(tick.margin_nm),
+                    reason: wanted
+                        .has(Fields::REASON)
+                        .then_some(clamp_reason(tick.reason)),
+                })
+            }
+        };
+        self.send_unasked(message, write);
+    }
+
+    fn send_unasked(&mut self, message: Message<'_>, write: &mut impl FnMut(&[u8])) {
+        send(self.unasked, message, write);
+        self.unasked = self.unasked.wrapping_add(1);
+    }
+}
+
+fn send(sequence: u16, message: Message<'_>, write: &mut impl FnMut(&[u8])) {
+    let mut buffer = [0; FRAME_MAX];
+    // No message is longer than a frame: the tests encode the longest of each kind.
+    if let Ok(frame) = encode(&FromDevice { sequence, message }, &mut buffer) {
+        write(frame);
+    }
+}
+
+fn fault(fault: Fault) -> protocol::Fault {
+    match fault {
+        Fault::Overrun => protocol::Fault::Overrun,
+        Fault::EncoderJump { counts } => protocol::Fault::EncoderJump { counts },
+        Fault::TorqueNotFinite => protocol::Fault::TorqueNotFinite,
+    }
+}
+
+fn clamp_reason(reason: Reason) -> ClampReason {
+    match reason {
+        Reason::None => ClampReason::None,
+        Reason::Viscous => ClampReason::Viscous,
+        Reason::Coulomb => ClampReason::Coulomb,
+        Reason::Speed => ClampReason::Speed,
+        Reason::ZeroForce => ClampReason::ZeroForce,
+        Reason::Torque => ClampReason::Torque,
+    }
+}

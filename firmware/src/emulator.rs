@@ -1,0 +1,268 @@
+//! The board inside QEMU (`-M netduinoplus2`, an STM32F405), in lockstep with a plant outside.
+//!
+//! Encoder and torque are two words of memory. Between two ticks, when every task sleeps, `idle`
+//! carries them over two named pipes in QEMU's working directory, and is told what to do next:
+//!
+//! - `to-host`, 16 bytes: torque (f32), serial bytes taken so far, cost of the last tick, period (f32);
+//! - `to-guest`, 12 bytes: order, counter, and the number of serial bytes to wait for.
+//!
+//! All words are little endian. The chip stands still while it waits for the answer, so the plant's time and the
+//! ticks are one, and a run is the same every time.
+
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
+
+use defmt_semihosting as _;
+use firmware::board::{AngleCounter, SerialOutput, TickClock, TorqueOutput};
+use semihosting::fs::File;
+use semihosting::io::{Read, Write};
+use semihosting::process;
+use stm32f4xx_hal::pac::{self, Interrupt, NVIC};
+
+/// What this board is called.
+pub const NAME: &str = "emulated";
+
+static COUNTER: AtomicU32 = AtomicU32::new(0);
+static TORQUE: AtomicU32 = AtomicU32::new(0);
+static PERIOD: AtomicU32 = AtomicU32::new(0);
+static OVERRAN: AtomicBool = AtomicBool::new(false);
+static TAKEN: AtomicU32 = AtomicU32::new(0);
+static COST: AtomicU32 = AtomicU32::new(0);
+
+/// What the board hands to the tasks.
+pub struct Board {
+    /// The tick's clock.
+    pub clock: Clock,
+    /// The angle sensor.
+    pub encoder: Encoder,
+    /// The torque output.
+    pub torque: Torque,
+    /// Bytes from the host.
+    pub serial_in: SerialIn,
+    /// Bytes to the host.
+    pub serial_out: SerialOut,
+    /// What `idle` does.
+    pub rest: Rest,
+}
+
+/// The word that the plant's count was put in.
+pub struct Encoder(());
+
+impl AngleCounter for Encoder {
+    const BITS: u32 = 32;
+
+    fn counter(&mut self) -> u32 {
+        COUNTER.load(Relaxed)
+    }
+}
+
+/// The word that the plant gets its torque from.
+pub struct Torque(());
+
+impl TorqueOutput for Torque {
+    fn set_nm(&mut self, torque_nm: f32) {
+        TORQUE.store(torque_nm.to_bits(), Relaxed);
+    }
+}
+
+/// The host decides when it is time for a tick.
+pub struct Clock(());
+
+impl TickClock for Clock {
+    fn set_period_s(&mut self, period_s: f32) {
+        PERIOD.store(period_s.to_bits(), Relaxed);
+    }
+
+    fn acknowledge(&mut self) -> bool {
+        OVERRAN.load(Relaxed)
+    }
+}
+
+/// USART1's receive register.
+pub struct SerialIn(());
+
+impl SerialIn {
+    /// The byte that the interrupt announced.
+    pub fn read(&mut self) -> Option<u8> {
+        // SAFETY: only this type reads SR and DR; reading takes nothing from the transmitter.
+        let usart = unsafe { &*pac::USART1::ptr() };
+        if usart.sr().read().rxne().bit_is_clear() {
+            return None;
+        }
+        let byte = usart.dr().read().dr().bits() as u8;
+        TAKEN.store(TAKEN.load(Relaxed).wrapping_add(1), Relaxed);
+        Some(byte)
+    }
+}
+
+/// USART1's transmit register.
+pub struct SerialOut(pac::USART1);
+
+impl SerialOutput for SerialOut {
+    // By polling: QEMU models neither the transmit interrupt nor DMA.
+    fn write(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            while self.0.sr().read().txe().bit_is_clear() {}
+            self.0.dr().write(|w| w.dr().set(u16::from(*byte)));
+        }
+    }
+}
+
+/// Serial line on, TIM5 free-running as a stopwatch. No clocks: RCC reads 0 here.
+pub fn set_up(device: pac::Peripherals) -> Board {
+    let line = device.USART1.cr1();
+    line.write(|w| {
+        w.ue()
+            .set_bit()
+            .re()
+            .set_bit()
+            .te()
+            .set_bit()
+            .rxneie()
+            .set_bit()
+    });
+    device.TIM5.cr1().write(|w| w.cen().set_bit());
+    PERIOD.store(
+        firmware::settings::DEFAULTS.sample_period_s.to_bits(),
+        Relaxed,
+    );
+    Board {
+        clock: Clock(()),
+        encoder: Encoder(()),
+        torque: Torque(()),
+        serial_in: SerialIn(()),
+        serial_out: SerialOut(device.USART1),
+        rest: Rest::open(),
+    }
+}
+
+/// Nanoseconds of virtual time; with `-icount shift=0`, instructions.
+pub fn stopwatch() -> u32 {
+    // SAFETY: reads a free-running counter.
+    unsafe { &*pac::TIM5::ptr() }.cnt().read().bits()
+}
+
+/// Notes what the tick cost.
+pub fn tick_cost(start: u32) {
+    COST.store(stopwatch().wrapping_sub(start), Relaxed);
+}
+
+/// What `idle` does: exchanges with the plant, one after the other.
+pub struct Rest {
+    to_host: File,
+    to_guest: File,
+}
+
+/// What the plant's side may order.
+mod order {
+    pub const HOLD: u32 = 0;
+    pub const TICK: u32 = 1;
+    pub const LATE_TICK: u32 = 2;
+    pub const EXIT: u32 = 3;
+    pub const PANIC: u32 = 4;
+    pub const HARD_FAULT: u32 = 5;
+}
+
+impl Rest {
+    fn open() -> Self {
+        let to_host = File::options()
+            .write(true)
+            .truncate(true)
+            .create(true)
+            .open(c"to-host");
+        match (to_host, File::open(c"to-guest")) {
+            (Ok(to_host), Ok(to_guest)) => Self { to_host, to_guest },
+            _ => panic!("the pipes to-host and to-guest cannot be opened"),
+        }
+    }
+
+    /// Tells the plant's side how things stand.
+    fn report(&mut self) {
+        let words = [&TORQUE, &TAKEN, &COST, &PERIOD].map(|word| word.load(Relaxed).to_le_bytes());
+        if self.to_host.write_all(words.as_flattened()).is_err() {
+            process::exit(ExitCode::LOST);
+        }
+    }
+
+    /// One exchange.
+    pub fn rest(&mut self) {
+        self.report();
+        let mut answer = [[0; 4]; 3];
+        if self.to_guest.read_exact(answer.as_flattened_mut()).is_err() {
+            process::exit(ExitCode::LOST);
+        }
+        let [order, counter, until] = answer.map(u32::from_le_bytes);
+        while (TAKEN.load(Relaxed).wrapping_sub(until) as i32) < 0 {
+            // Masked, so that no interrupt slips in between the look and the sleep; a pending
+            // one ends it all the same, and is taken when the mask goes.
+            cortex_m::interrupt::disable();
+            if (TAKEN.load(Relaxed).wrapping_sub(until) as i32) < 0 {
+                cortex_m::asm::wfi();
+            }
+            // SAFETY: no critical section is open here.
+            unsafe { cortex_m::interrupt::enable() };
+            cortex_m::asm::isb();
+        }
+        match order {
+            order::HOLD => {}
+            order::TICK | order::LATE_TICK => {
+                COUNTER.store(counter, Relaxed);
+                OVERRAN.store(order == order::LATE_TICK, Relaxed);
+                NVIC::pend(Interrupt::TIM2);
+                cortex_m::asm::isb();
+            }
+            order::EXIT => process::exit(ExitCode::DONE),
+            order::PANIC => panic!("ordered to panic"),
+            order::HARD_FAULT => {
+                // SAFETY: nothing is there; the fault is what is wanted.
+                unsafe { core::ptr::read_volatile(0x4001_1800 as *const u32) };
+            }
+            _ => process::exit(ExitCode::LOST),
+        }
+    }
+}
+
+/// What QEMU exits with.
+struct ExitCode;
+
+impl ExitCode {
+    const DONE: i32 = 0;
+    const PANIC: i32 = 101;
+    const HARD_FAULT: i32 = 102;
+    const PANIC_AGAIN: i32 = 103;
+    const LOST: i32 = 104;
+}
+
+static PANICKED: AtomicBool = AtomicBool::new(false);
+
+/// Torque off first; then tell the plant, then whoever reads the log.
+fn stop() {
+    cortex_m::interrupt::disable();
+    TORQUE.store(0, Relaxed);
+    if let Ok(mut pipe) = File::options()
+        .write(true)
+        .truncate(true)
+        .create(true)
+        .open(c"to-host")
+    {
+        let words = [&TORQUE, &TAKEN, &COST, &PERIOD].map(|word| word.load(Relaxed).to_le_bytes());
+        let _ = pipe.write_all(words.as_flattened());
+    }
+}
+
+#[panic_handler]
+fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+    stop();
+    // A panic inside the logger would come back here for ever.
+    if PANICKED.swap(true, Relaxed) {
+        process::exit(ExitCode::PANIC_AGAIN);
+    }
+    defmt::error!("{}", defmt::Display2Format(info));
+    process::exit(ExitCode::PANIC)
+}
+
+#[cortex_m_rt::exception]
+unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
+    stop();
+    defmt::error!("hard fault at {=u32:#010x}", frame.pc());
+    process::exit(ExitCode::HARD_FAULT)
+}

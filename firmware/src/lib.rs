@@ -1,0 +1,93 @@
+//! The part of the firmware that knows no board: it runs natively too, and is tested there.
+//!
+//! - [`ticker`]: what the tick's interrupt does, and the state disarmed, armed, fault;
+//! - [`desk`]: what answers the host, below the tick;
+//! - [`settings`]: parameters as they come over the wire, checked and made into a plan;
+//! - [`board`]: what a board owes the two.
+//!
+//! The ticker and the desk share a [`Link`] and two queues of `heapless`; neither ever waits for the
+//! other. `docs/firmware.md` draws it.
+#![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+
+pub mod board;
+pub mod desk;
+pub mod settings;
+pub mod ticker;
+
+use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+use heapless::spsc::{Consumer, Producer, Queue};
+use ticker::{Command, Record, StateCode};
+
+/// Commands on their way to the tick: the desk sends the next when the last was taken.
+pub type Commands = Queue<Command, 2>;
+/// What the tick has to tell, on its way to the desk.
+pub type Records = Queue<Record, 64>;
+
+/// The desk's end of [`Commands`].
+pub type CommandSender<'a> = Producer<'a, Command>;
+/// The tick's end of [`Commands`].
+pub type CommandReceiver<'a> = Consumer<'a, Command>;
+/// The tick's end of [`Records`].
+pub type RecordSender<'a> = Producer<'a, Record>;
+/// The desk's end of [`Records`].
+pub type RecordReceiver<'a> = Consumer<'a, Record>;
+
+/// What the tick and the desk tell each other without a queue: single words, each written
+/// by one of them.
+#[derive(Debug, Default)]
+pub struct Link {
+    /// By the tick: see [`LinkStatus`].
+    status: AtomicU32,
+    /// By the tick: its number.
+    tick: AtomicU32,
+    /// By the tick: the number of the tick that took the last command.
+    taken_at: AtomicU32,
+    /// By the tick: records that found no room.
+    dropped: AtomicU32,
+    /// By the desk: one record every so many ticks; 0: none.
+    every_ticks: AtomicU32,
+    /// By the desk: 1 if changes of the clamp's reason are wanted.
+    clamp_events: AtomicU32,
+}
+
+/// What one word of [`Link`] says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct LinkStatus {
+    state: StateCode,
+    /// The last command was refused.
+    refused: bool,
+    /// Commands taken since the start.
+    taken: u16,
+}
+
+impl Link {
+    /// Nothing has happened yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            status: AtomicU32::new(0),
+            tick: AtomicU32::new(0),
+            taken_at: AtomicU32::new(0),
+            dropped: AtomicU32::new(0),
+            every_ticks: AtomicU32::new(0),
+            clamp_events: AtomicU32::new(0),
+        }
+    }
+
+    fn set_status(&self, status: LinkStatus) {
+        let word =
+            status.state as u32 | u32::from(status.refused) << 8 | u32::from(status.taken) << 16;
+        self.status.store(word, Relaxed);
+    }
+
+    fn status(&self) -> LinkStatus {
+        let word = self.status.load(Relaxed);
+        LinkStatus {
+            state: StateCode::from_bits(word),
+            refused: word & 0x100 != 0,
+            taken: (word >> 16) as u16,
+        }
+    }
+}

@@ -1,0 +1,237 @@
+//! Parameters as they come over the wire: their limits, their defaults, and how they
+//! become a plan. Nothing reaches the tick that did not pass here.
+
+use core::f64::consts::TAU;
+
+use control::ConfigError;
+use control::encoder::EncoderConfig;
+use control::spring::Side;
+use control::tick::{Believed, Config, Interval, Law, Plan};
+use protocol::{Name, Parameters, Refusal, Shape};
+
+use crate::ticker::Settled;
+
+/// The least that each numeric parameter may be.
+pub const LOWEST: Parameters = Parameters {
+    sample_period_s: 40e-6,
+    decimation: 1,
+    counts_per_rev: 4,
+    law: protocol::Law::Raw,
+    shape: Shape::Spring,
+    stiffness_nm_rad: 0.0,
+    centre_rad: -1e3,
+    wall_rad: -1e3,
+    torque_max_nm: 0.0,
+    speed_max_rad_s: 1.0,
+    inertia_kg_m2: between(1e-8, 1e-8),
+    viscous_nm_s_rad: between(0.0, 0.0),
+    coulomb_nm: between(0.0, 0.0),
+};
+
+/// The most that each numeric parameter may be.
+pub const HIGHEST: Parameters = Parameters {
+    sample_period_s: 20e-3,
+    decimation: 4096,
+    counts_per_rev: 1_000_000,
+    law: protocol::Law::Episode,
+    shape: Shape::Wall,
+    stiffness_nm_rad: 1e4,
+    centre_rad: 1e3,
+    wall_rad: 1e3,
+    torque_max_nm: 10.0,
+    speed_max_rad_s: 1e4,
+    inertia_kg_m2: between(1e-1, 1e-1),
+    viscous_nm_s_rad: between(1.0, 1.0),
+    coulomb_nm: between(10.0, 10.0),
+};
+
+/// What a device starts with: the paper's RE35 at 1 ms, no stiffness, and a law that is
+/// passive at every speed.
+pub const DEFAULTS: Parameters = Parameters {
+    sample_period_s: 1e-3,
+    decimation: 1,
+    counts_per_rev: 8192,
+    law: protocol::Law::Static,
+    shape: Shape::Spring,
+    stiffness_nm_rad: 0.0,
+    centre_rad: 0.0,
+    wall_rad: 0.0,
+    torque_max_nm: 0.5,
+    speed_max_rad_s: 1000.0,
+    inertia_kg_m2: between(6.28e-6, 6.28e-6),
+    viscous_nm_s_rad: between(9e-6, 9e-6),
+    coulomb_nm: between(2e-3, 2e-3),
+};
+
+const fn between(low: f32, high: f32) -> protocol::Interval {
+    protocol::Interval { low, high }
+}
+
+/// Checks parameters for a board whose encoder counter has `counter_bits` bits, and makes them
+/// what the tick uses.
+///
+/// # Errors
+/// The first value that is not accepted, with what would be.
+pub fn settle(parameters: &Parameters, counter_bits: u32) -> Result<Settled, Refusal> {
+    let config = config(parameters, counter_bits)?;
+    let plan = Plan::new(&config).map_err(|error| together(parameters, error))?;
+    Ok(Settled {
+        // One count more than the way at top speed: a move may begin and end anywhere in a cell.
+        furthest_counts: (parameters.speed_max_rad_s / plan.count_speed_rad_s()) as u32 + 1,
+        plan,
+    })
+}
+
+/// Values that are each accepted, but not together: names the one that shows it.
+fn together(parameters: &Parameters, error: ConfigError) -> Refusal {
+    let name = match (error, parameters.shape) {
+        (ConfigError::OutOfCounts { .. }, Shape::Spring) => Name::CentreRad,
+        (ConfigError::OutOfCounts { .. }, Shape::Wall) => Name::WallRad,
+        (ConfigError::CounterBits(_) | ConfigError::Decimation, _) => Name::Decimation,
+        _ => Name::SamplePeriodS,
+    };
+    Refusal::Together { name }
+}
+
+/// Checks parameters, and says them in the controller's words.
+///
+/// # Errors
+/// The first value that is not accepted, with what would be.
+pub fn config(parameters: &Parameters, counter_bits: u32) -> Result<Config, Refusal> {
+    let p = parameters;
+    for (name, given, lowest, highest) in [
+        (
+            Name::SamplePeriodS,
+            p.sample_period_s,
+            LOWEST.sample_period_s,
+            HIGHEST.sample_period_s,
+        ),
+        (
+            Name::StiffnessNmRad,
+            p.stiffness_nm_rad,
+            LOWEST.stiffness_nm_rad,
+            HIGHEST.stiffness_nm_rad,
+        ),
+        (
+            Name::CentreRad,
+            p.centre_rad,
+            LOWEST.centre_rad,
+            HIGHEST.centre_rad,
+        ),
+        (Name::WallRad, p.wall_rad, LOWEST.wall_rad, HIGHEST.wall_rad),
+        (
+            Name::TorqueMaxNm,
+            p.torque_max_nm,
+            LOWEST.torque_max_nm,
+            HIGHEST.torque_max_nm,
+        ),
+        (
+            Name::SpeedMaxRadS,
+            p.speed_max_rad_s,
+            LOWEST.speed_max_rad_s,
+            HIGHEST.speed_max_rad_s,
+        ),
+    ] {
+        number(name, given, lowest, highest)?;
+    }
+    whole(
+        Name::Decimation,
+        p.decimation,
+        LOWEST.decimation,
+        HIGHEST.decimation,
+    )?;
+    whole(
+        Name::CountsPerRev,
+        p.counts_per_rev,
+        LOWEST.counts_per_rev,
+        HIGHEST.counts_per_rev,
+    )?;
+    let believed = Believed {
+        inertia_kg_m2: interval(
+            Name::InertiaKgM2,
+            p.inertia_kg_m2,
+            LOWEST.inertia_kg_m2,
+            HIGHEST.inertia_kg_m2,
+        )?,
+        viscous_nm_s_rad: interval(
+            Name::ViscousNmSRad,
+            p.viscous_nm_s_rad,
+            LOWEST.viscous_nm_s_rad,
+            HIGHEST.viscous_nm_s_rad,
+        )?,
+        coulomb_nm: interval(
+            Name::CoulombNm,
+            p.coulomb_nm,
+            LOWEST.coulomb_nm,
+            HIGHEST.coulomb_nm,
+        )?,
+    };
+    let (side, zero_rad) = match p.shape {
+        Shape::Spring => (Side::Both, p.centre_rad),
+        Shape::Wall => (Side::Above, p.wall_rad),
+    };
+    Ok(Config {
+        believed,
+        period_s: f64::from(p.sample_period_s),
+        hardware_count_rad: TAU / f64::from(p.counts_per_rev),
+        encoder: EncoderConfig::new(counter_bits, p.decimation)
+            .map_err(|error| together(p, error))?,
+        side,
+        zero_rad: f64::from(zero_rad),
+        stiffness_nm_rad: f64::from(p.stiffness_nm_rad),
+        law: match p.law {
+            protocol::Law::Raw => Law::Raw,
+            protocol::Law::Static => Law::Static,
+            protocol::Law::Episode => Law::Episode,
+        },
+        torque_max_nm: f64::from(p.torque_max_nm),
+    })
+}
+
+fn number(name: Name, given: f32, lowest: f32, highest: f32) -> Result<(), Refusal> {
+    // Written so that NaN fails.
+    if lowest <= given && given <= highest {
+        Ok(())
+    } else {
+        Err(Refusal::Value {
+            name,
+            given,
+            lowest,
+            highest,
+        })
+    }
+}
+
+fn whole(name: Name, given: u32, lowest: u32, highest: u32) -> Result<(), Refusal> {
+    if (lowest..=highest).contains(&given) {
+        Ok(())
+    } else {
+        Err(Refusal::Value {
+            name,
+            given: given as f32,
+            lowest: lowest as f32,
+            highest: highest as f32,
+        })
+    }
+}
+
+fn interval(
+    name: Name,
+    given: protocol::Interval,
+    lowest: protocol::Interval,
+    highest: protocol::Interval,
+) -> Result<Interval, Refusal> {
+    number(name, given.low, lowest.low, highest.low)?;
+    number(name, given.high, lowest.high, highest.high)?;
+    if given.low > given.high {
+        return Err(Refusal::Reversed {
+            name,
+            low: given.low,
+            high: given.high,
+        });
+    }
+    Ok(Interval {
+        low: f64::from(given.low),
+        high: f64::from(given.high),
+    })
+}

@@ -1,0 +1,324 @@
+//! What the tick does: obey at most one command, read the encoder, call [`control`], watch
+//! over the result, and say what there is to say.
+//!
+//! The tick owns the state. Torque is zero in every state but armed:
+//!
+//! disarmed → (arm) → armed → (fault) → fault → (clear) → disarmed; armed → (disarm) → disarmed.
+
+use core::sync::atomic::Ordering::Relaxed;
+
+use control::tick::{Controller, Plan, Reason, Tick};
+
+use crate::{CommandReceiver, Link, LinkStatus, RecordSender};
+
+/// What the desk tells the tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Command {
+    /// Take this plan. Refused while armed if it changes the period or the encoder.
+    Configure(Settled),
+    /// Render; refused in fault.
+    Arm,
+    /// No torque; refused in fault.
+    Disarm,
+    /// Leave the fault; refused without one.
+    Clear,
+}
+
+/// A checked configuration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settled {
+    /// What the controller uses.
+    pub plan: Plan,
+    /// The most counts that the knob can move in one period.
+    pub furthest_counts: u32,
+}
+
+/// Whether torque is given, in one byte.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum StateCode {
+    /// No torque.
+    Disarmed = 0,
+    /// Rendering.
+    Armed = 1,
+    /// No torque until cleared.
+    Fault = 2,
+}
+
+impl StateCode {
+    pub(crate) fn from_bits(word: u32) -> Self {
+        match word & 0xFF {
+            0 => Self::Disarmed,
+            1 => Self::Armed,
+            _ => Self::Fault,
+        }
+    }
+}
+
+/// What put torque to zero.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    /// A tick was not done before the next was due.
+    Overrun,
+    /// The count moved further in one period than the knob can turn.
+    EncoderJump {
+        /// How far.
+        counts: i32,
+    },
+    /// The torque was not a finite number.
+    TorqueNotFinite,
+}
+
+/// What a tick has to tell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Record {
+    /// Its number.
+    pub number: u32,
+    /// The state after it.
+    pub state: StateCode,
+    /// What the controller decided; its torque is given only while armed.
+    pub tick: Tick,
+    /// Stiffness demanded, Nm/rad.
+    pub demanded_nm_rad: f32,
+    /// Why it is told.
+    pub occasion: Occasion,
+}
+
+/// Why a tick is told of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Occasion {
+    /// Telemetry is due.
+    Telemetry,
+    /// The reason for clamping changed.
+    Clamp,
+    /// Torque went to zero.
+    Fault(Fault),
+}
+
+/// What a tick has the board do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Output {
+    /// The torque to give, Nm: finite, and 0 unless armed.
+    pub torque_nm: f32,
+    /// The new period, s, where it changed.
+    pub period_s: Option<f32>,
+}
+
+/// The tick, and all that it owns.
+pub struct Ticker<'a> {
+    controller: Controller,
+    furthest_counts: u32,
+    state: StateCode,
+    number: u32,
+    status: LinkStatus,
+    reason: Reason,
+    /// Ticks until telemetry is due.
+    due_in: u32,
+    link: &'a Link,
+    commands: CommandReceiver<'a>,
+    records: RecordSender<'a>,
+}
+
+impl<'a> Ticker<'a> {
+    /// Disarmed, for a knob whose counter reads `counter` now.
+    #[must_use]
+    pub fn new(
+        settled: &Settled,
+        counter: u32,
+        link: &'a Link,
+        commands: CommandReceiver<'a>,
+        records: RecordSender<'a>,
+    ) -> Self {
+        let status = LinkStatus {
+            state: StateCode::Disarmed,
+            refused: false,
+            taken: 0,
+        };
+        link.set_status(status);
+        Self {
+            controller: Controller::new(settled.plan, counter as i32),
+            furthest_counts: settled.furthest_counts,
+            state: StateCode::Disarmed,
+            number: 0,
+            status,
+            reason: Reason::None,
+            due_in: 0,
+            link,
+            commands,
+            records,
+        }
+    }
+
+    /// One tick. `overran`: another was due before this one was served.
+    #[inline]
+    pub fn tick(&mut self, counter: u32, overran: bool) -> Output {
+        self.number = self.number.wrapping_add(1);
+        self.link.tick.store(self.number, Relaxed);
+        let mut period_s = None;
+        if self.commands.ready() {
+            period_s = self.obey();
+        }
+        let tick = self.controller.tick(counter);
+        let mut torque_nm = 0.0;
+        if self.state == StateCode::Armed {
+            match fault_in(&tick, self.furthest_counts, overran) {
+                None => torque_nm = tick.torque_nm,
+                Some(fault) => self.fail(&tick, fault),
+            }
+        }
+        self.tell(&tick);
+        Output {
+            torque_nm,
+            period_s,
+        }
+    }
+
+    /// Takes the next command.
+    #[cold]
+    #[inline(never)]
+    fn obey(&mut self) -> Option<f32> {
+        let command = self.commands.dequeue()?;
+        let mut period_s = None;
+        let done = match (command, self.state) {
+            (Command::Configure(settled), state) => {
+                let (old, new) = (*self.controller.plan(), settled.plan);
+                let same_encoder = old.encoder() == new.encoder();
+                let same_sampling = same_encoder
+                    && old.period_s() == new.period_s()
+                    && old.count_speed_rad_s() == new.count_speed_rad_s();
+                if same_sampling {
+                    self.controller.adopt(new);
+                    self.furthest_counts = settled.furthest_counts;
+                    true
+                } else if state != StateCode::Armed {
+                    self.controller = Controller::new(new, self.controller.hardware_count());
+                    self.furthest_counts = settled.furthest_counts;
+                    period_s = Some(new.period_s());
+                    true
+                } else {
+                    false
+                }
+            }
+            (Command::Arm, StateCode::Disarmed) => {
+                self.controller.release();
+                self.state = StateCode::Armed;
+                true
+            }
+            (Command::Disarm, StateCode::Armed) => {
+                self.state = StateCode::Disarmed;
+                true
+            }
+            (Command::Arm, StateCode::Armed) | (Command::Disarm, StateCode::Disarmed) => true,
+            (Command::Clear, StateCode::Fault) => {
+                self.state = StateCode::Disarmed;
+                true
+            }
+            (Command::Arm | Command::Disarm, StateCode::Fault) | (Command::Clear, _) => false,
+        };
+        self.link.taken_at.store(self.number, Relaxed);
+        self.status = LinkStatus {
+            state: self.state,
+            refused: !done,
+            taken: self.status.taken.wrapping_add(1),
+        };
+        self.link.set_status(self.status);
+        period_s
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn fail(&mut self, tick: &Tick, fault: Fault) {
+        self.state = StateCode::Fault;
+        self.status.state = StateCode::Fault;
+        self.link.set_status(self.status);
+        self.record(tick, Occasion::Fault(fault));
+    }
+
+    /// Telemetry where it is due, and changes of the clamp's reason where they are wanted.
+    #[inline]
+    fn tell(&mut self, tick: &Tick) {
+        let every = self.link.every_ticks.load(Relaxed);
+        if every != 0 {
+            if self.due_in <= 1 {
+                self.due_in = every;
+                self.record(tick, Occasion::Telemetry);
+            } else {
+                self.due_in -= 1;
+            }
+        }
+        if tick.reason != self.reason {
+            self.reason = tick.reason;
+            if self.link.clamp_events.load(Relaxed) != 0 {
+                self.record(tick, Occasion::Clamp);
+            }
+        }
+    }
+
+    #[inline(never)]
+    fn record(&mut self, tick: &Tick, occasion: Occasion) {
+        let record = Record {
+            number: self.number,
+            state: self.state,
+            tick: *tick,
+            demanded_nm_rad: self.controller.plan().demanded_nm_rad(),
+            occasion,
+        };
+        if self.records.enqueue(record).is_err() {
+            let dropped = self.link.dropped.load(Relaxed);
+            self.link.dropped.store(dropped.wrapping_add(1), Relaxed);
+        }
+    }
+}
+
+/// What is wrong with a tick, if anything is.
+#[inline]
+fn fault_in(tick: &Tick, furthest_counts: u32, overran: bool) -> Option<Fault> {
+    if overran {
+        return Some(Fault::Overrun);
+    }
+    if tick.moved.unsigned_abs() > furthest_counts {
+        return Some(Fault::EncoderJump { counts: tick.moved });
+    }
+    if !tick.torque_nm.is_finite() {
+        return Some(Fault::TorqueNotFinite);
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_fault_is_seen() {
+        let good = Tick {
+            count: 0,
+            moved: -7,
+            torque_nm: 0.1,
+            stiffness_nm_rad: 1.0,
+            margin_nm: 0.0,
+            reason: Reason::None,
+        };
+        assert_eq!(fault_in(&good, 7, false), None);
+        assert_eq!(fault_in(&good, 7, true), Some(Fault::Overrun));
+        assert_eq!(
+            fault_in(&good, 6, false),
+            Some(Fault::EncoderJump { counts: -7 })
+        );
+        let far = Tick {
+            moved: i32::MIN,
+            ..good
+        };
+        assert!(matches!(
+            fault_in(&far, 7, false),
+            Some(Fault::EncoderJump { .. })
+        ));
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            let wild = Tick {
+                torque_nm: bad,
+                ..good
+            };
+            assert_eq!(fault_in(&wild, 7, false), Some(Fault::TorqueNotFinite));
+        }
+    }
+}
