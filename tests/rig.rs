@@ -18,15 +18,13 @@ pub struct Rig {
     /// Ticks so far.
     pub ticks: u64,
     hash: u64,
-    /// Cost of every tick, in the emulator's units.
-    pub costs: Vec<u32>,
 }
 
 impl Rig {
     /// Boots the firmware against a plant.
     #[must_use]
-    pub fn start(plant: Plant, shift: u32) -> Self {
-        let emulator = Emulator::start(&Self::image(), shift).expect("the firmware starts");
+    pub fn start(plant: Plant) -> Self {
+        let emulator = Emulator::start(&Self::image(), 3).expect("the firmware starts");
         let mut rig = Self {
             // The chip's counter reads 0 when it starts.
             twin: Twin::new(0, "set below"),
@@ -36,7 +34,6 @@ impl Rig {
             waiting: VecDeque::new(),
             ticks: 0,
             hash: 0xcbf2_9ce4_8422_2325,
-            costs: Vec::new(),
         };
         rig.twin = Twin::new(0, rig.git_hash());
         rig
@@ -87,7 +84,6 @@ impl Rig {
         assert_eq!(report.period_s.to_bits(), self.twin.period_s().to_bits());
         self.mix(counter);
         self.mix(report.torque_nm.to_bits());
-        self.costs.push(report.cost);
         self.collect();
         torque
     }

@@ -14,7 +14,7 @@
 //! are generic: `f32` in the tick, `f64` in the analysis, one source.
 
 use crate::error::{ConfigError, not_negative, positive};
-use crate::real::{Real, magnitude, smaller};
+use crate::real::{Real, smaller};
 
 /// A device by its mechanics: m ẍ + b ẋ + c sgn ẋ = torque (1).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,7 +79,7 @@ impl<T: Real> Dimensionless<T> {
     /// beyond what sampling makes, in units of K Δ, at a speed in counts per sample.
     pub fn power_margin(&self, speed: T) -> T {
         let half = T::from(0.5);
-        (self.beta - half) * magnitude(speed) + (self.sigma - half)
+        (self.beta - half) * speed.magnitude() + (self.sigma - half)
     }
 
     /// Inequality (8) at one speed in counts per sample; at the initial speed it is (10).
@@ -116,7 +116,7 @@ impl<T: Real> Dimensionless<T> {
 /// ```
 pub fn critical_sigma<T: Real>(beta: T, speed: T) -> T {
     let half = T::from(0.5);
-    half - magnitude(speed) * (beta - half)
+    half - speed.magnitude() * (beta - half)
 }
 
 /// The criterion for one device and one way of sampling it. Valid by construction:
@@ -215,8 +215,18 @@ impl<T: Real> Criterion<T> {
     /// speed in rad/s. The display is passive at that speed while it is ≥ 0.
     pub fn power_margin_nm(&self, stiffness: T, speed: T) -> T {
         let half_stiffness = T::from(0.5) * stiffness;
-        (self.device.viscous_nm_s_rad - half_stiffness * self.sampling.period_s) * magnitude(speed)
+        (self.device.viscous_nm_s_rad - half_stiffness * self.sampling.period_s) * speed.magnitude()
             + (self.device.coulomb_nm - half_stiffness * self.sampling.count_rad)
+    }
+
+    /// The power margin at the worst of all speeds between two, given in steps of `step`
+    /// rad/s from 0 on. It is affine in the speed, so one of the two is the worst.
+    pub fn worst_power_margin_nm(&self, stiffness: T, slow: T, fast: T, step: T) -> T {
+        let half_stiffness = T::from(0.5) * stiffness;
+        let slope = self.device.viscous_nm_s_rad - half_stiffness * self.sampling.period_s;
+        let at_rest = self.device.coulomb_nm - half_stiffness * self.sampling.count_rad;
+        let worst = if slope < T::from(0.0) { fast } else { slow };
+        slope * (worst * step) + at_rest
     }
 
     /// The largest K that (11) allows at one speed: 2(b|ẋ| + c)/(T|ẋ| + Δ), Nm/rad.
@@ -224,7 +234,7 @@ impl<T: Real> Criterion<T> {
     /// It lies between `coulomb_limit` at rest and `viscous_limit` at infinite
     /// speed, and is monotonic in between.
     pub fn largest_stiffness_at(&self, speed: T) -> T {
-        let speed = magnitude(speed);
+        let speed = speed.magnitude();
         T::from(2.0) * (self.device.viscous_nm_s_rad * speed + self.device.coulomb_nm)
             / (self.sampling.period_s * speed + self.sampling.count_rad)
     }

@@ -81,21 +81,32 @@ impl Encoder {
     /// Takes the counter as it reads now (higher bits are ignored) and returns the
     /// decimated count. Right as long as the knob moves by less than half the
     /// counter's range between two updates.
+    #[inline]
     pub fn update(&mut self, raw: u32) -> i32 {
         let shift = self.config.shift;
         let moved = (raw.wrapping_sub(self.raw) << shift) as i32 >> shift;
         self.raw = raw;
         let decimation = self.config.decimation;
-        let (counts, residue) = divide_down(moved, decimation);
+        // From the lower edge of the present cell. A move so far that this does not fit in
+        // 31 bits is divided in two parts.
+        let from_edge = match moved.checked_add(self.residue as i32) {
+            Some(sum) if self.residue <= i32::MAX as u32 => sum,
+            _ => {
+                let (counts, residue) = divide_down(moved, decimation);
+                self.count = self.count.wrapping_add(counts);
+                let room = decimation.get() - self.residue;
+                if residue < room {
+                    self.residue += residue;
+                    return self.count;
+                }
+                self.residue = residue - room;
+                self.count = self.count.wrapping_add(1);
+                return self.count;
+            }
+        };
+        let (counts, residue) = divide_down(from_edge, decimation);
+        self.residue = residue;
         self.count = self.count.wrapping_add(counts);
-        // residue + self.residue may reach the next cell; written so that it cannot overflow.
-        let room = decimation.get() - self.residue;
-        if residue >= room {
-            self.count = self.count.wrapping_add(1);
-            self.residue = residue - room;
-        } else {
-            self.residue += residue;
-        }
         self.count
     }
 
@@ -115,6 +126,7 @@ impl Encoder {
 }
 
 /// ⌊n/d⌋ and n − d⌊n/d⌋.
+#[inline]
 fn divide_down(n: i32, d: NonZeroU32) -> (i32, u32) {
     let size = n.unsigned_abs();
     let quotient = size / d;

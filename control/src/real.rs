@@ -16,14 +16,20 @@ pub trait Real:
     + From<f32>
     + Into<f64>
 {
+    /// |x|.
+    fn magnitude(self) -> Self;
 }
 
-impl Real for f32 {}
-impl Real for f64 {}
+impl Real for f32 {
+    fn magnitude(self) -> Self {
+        self.abs()
+    }
+}
 
-/// |x|.
-pub(crate) fn magnitude<T: Real>(x: T) -> T {
-    if x < T::from(0.0) { -x } else { x }
+impl Real for f64 {
+    fn magnitude(self) -> Self {
+        self.abs()
+    }
 }
 
 /// The smaller of two numbers that are not NaN.

@@ -10,7 +10,7 @@
 use crate::criterion::{Criterion, Device, Sampling};
 use crate::encoder::{Encoder, EncoderConfig};
 use crate::error::{ConfigError, interval, not_negative, positive};
-use crate::real::{magnitude, smaller};
+use crate::real::smaller;
 use crate::spring::{SampledSpring, Side};
 
 /// What decides the stiffness that is applied.
@@ -131,7 +131,7 @@ pub struct Tick {
     pub stiffness_nm_rad: f32,
     /// The passivity margin (11) × |ẋ| of the applied stiffness at the worst of the
     /// mean speeds that the counts of the last period allow, Nm. The first tick has
-    /// seen no motion and answers for a knob at rest.
+    /// seen no motion and answers for a knob that moves by less than a count.
     pub margin_nm: f32,
     /// Why less is applied than demanded.
     pub reason: Reason,
@@ -179,7 +179,12 @@ impl Plan {
         )?;
         let demanded = not_negative("stiffness (Nm/rad)", config.stiffness_nm_rad as f32)?;
         let sampling = *criterion.sampling();
-        let (viscous_limit, coulomb_limit) = (criterion.viscous_limit(), criterion.coulomb_limit());
+        // A little down: a limit that f32 has rounded up would be none.
+        let down = 1.0 - 4.0 * f32::EPSILON;
+        let (viscous_limit, coulomb_limit) = (
+            down * criterion.viscous_limit(),
+            down * criterion.coulomb_limit(),
+        );
         let (limit, limit_reason) = match config.law {
             Law::Raw => (demanded, Reason::None),
             Law::Static if viscous_limit < coulomb_limit => (viscous_limit, Reason::Viscous),
@@ -292,24 +297,19 @@ impl Controller {
     }
 
     /// One sample: takes the hardware counter, returns the torque to hold.
-    #[inline]
     pub fn tick(&mut self, hardware_counter: u32) -> Tick {
         let plan = &self.plan;
         let before = self.encoder.count();
         let count = self.encoder.update(hardware_counter);
         let moved = count.wrapping_sub(before);
-        // `moved` counts in one period put the mean speed between these.
+        // `moved` counts in one period put the mean speed between these, in counts.
         let counts = moved.unsigned_abs();
-        let slow = counts.saturating_sub(1) as f32 * plan.count_speed_rad_s;
-        let fast = if self.seen {
-            counts.saturating_add(1) as f32 * plan.count_speed_rad_s
-        } else {
-            0.0
-        };
+        let slow = counts.saturating_sub(1) as f32;
+        let fast = counts.saturating_add(1) as f32;
 
         let deflection = plan.spring.deflection_rad(count);
         let free = plan.spring.side() == Side::Above && deflection <= 0.0;
-        let zero_force = free || magnitude(deflection) <= plan.half_count_rad;
+        let zero_force = free || deflection.abs() <= plan.half_count_rad;
 
         let mut target = plan.limit_nm_rad;
         let mut reason = plan.limit_reason;
@@ -317,7 +317,8 @@ impl Controller {
             // Where 2b/T < 2c/Δ the limit falls with speed, so the fast end is the worse
             // one; else it never falls below 2c/Δ, which the target keeps to anyway.
             let now = if self.seen {
-                plan.criterion.largest_stiffness_at(fast)
+                plan.criterion
+                    .largest_stiffness_at(fast * plan.count_speed_rad_s)
             } else {
                 plan.criterion.largest_stiffness()
             };
@@ -338,11 +339,12 @@ impl Controller {
 
         let stiffness = self.applied_nm_rad;
         let mut torque = if free { 0.0 } else { -(stiffness * deflection) };
-        if torque > plan.torque_max_nm {
-            torque = plan.torque_max_nm;
-            reason = Reason::Torque;
-        } else if torque < -plan.torque_max_nm {
-            torque = -plan.torque_max_nm;
+        if torque.abs() > plan.torque_max_nm {
+            torque = if torque > 0.0 {
+                plan.torque_max_nm
+            } else {
+                -plan.torque_max_nm
+            };
             reason = Reason::Torque;
         }
         Tick {
@@ -350,10 +352,11 @@ impl Controller {
             moved,
             torque_nm: torque,
             stiffness_nm_rad: stiffness,
-            // Affine in the speed: one of the ends is the worst.
-            margin_nm: smaller(
-                plan.criterion.power_margin_nm(stiffness, slow),
-                plan.criterion.power_margin_nm(stiffness, fast),
+            margin_nm: plan.criterion.worst_power_margin_nm(
+                stiffness,
+                slow,
+                fast,
+                plan.count_speed_rad_s,
             ),
             reason,
         }
@@ -412,7 +415,7 @@ mod tests {
         let mut stiff = controller(&re35(Law::Raw, 1.0));
         let m = |speed: f32| (9e-6 - 0.5e-3) * speed + (2e-3 - 0.5 * COUNT);
         let count_speed = COUNT / 1e-3;
-        assert!((stiff.tick(0).margin_nm - m(0.0)).abs() < 1e-9);
+        assert!((stiff.tick(0).margin_nm - m(count_speed)).abs() < 1e-8);
         // Moved by 3 counts, either way: between 2 and 4 counts per sample, 4 is worse.
         assert!((stiff.tick(3).margin_nm - m(4.0 * count_speed)).abs() < 1e-8);
         assert!((stiff.tick(0).margin_nm - m(4.0 * count_speed)).abs() < 1e-8);

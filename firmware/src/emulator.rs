@@ -160,6 +160,7 @@ mod order {
     pub const EXIT: u32 = 3;
     pub const PANIC: u32 = 4;
     pub const HARD_FAULT: u32 = 5;
+    pub const STACK: u32 = 6;
 }
 
 impl Rest {
@@ -210,6 +211,7 @@ impl Rest {
                 NVIC::pend(Interrupt::TIM2);
                 cortex_m::asm::isb();
             }
+            order::STACK => COST.store(stack_used(), Relaxed),
             order::EXIT => process::exit(ExitCode::DONE),
             order::PANIC => panic!("ordered to panic"),
             order::HARD_FAULT => {
@@ -219,6 +221,25 @@ impl Rest {
             _ => process::exit(ExitCode::LOST),
         }
     }
+}
+
+/// The most stack that was ever used, bytes: what is left of the paint that `cortex-m-rt`
+/// gave it.
+fn stack_used() -> u32 {
+    const PAINT: u32 = 0xCCCC_CCCC;
+    unsafe extern "C" {
+        static _stack_start: u32;
+        static _stack_end: u32;
+    }
+    let (top, bottom) = (&raw const _stack_start, &raw const _stack_end);
+    let mut used = top as u32 - bottom as u32;
+    let mut word = bottom;
+    // SAFETY: the linker script's stack, from its end up to its start, is RAM; only read.
+    while word < top && unsafe { word.read_volatile() } == PAINT {
+        used -= 4;
+        word = word.wrapping_add(1);
+    }
+    used
 }
 
 /// What QEMU exits with.

@@ -109,7 +109,6 @@ pub struct Ticker<'a> {
     controller: Controller,
     furthest_counts: u32,
     state: StateCode,
-    number: u32,
     status: LinkStatus,
     reason: Reason,
     /// Ticks until telemetry is due.
@@ -139,7 +138,6 @@ impl<'a> Ticker<'a> {
             controller: Controller::new(settled.plan, counter as i32),
             furthest_counts: settled.furthest_counts,
             state: StateCode::Disarmed,
-            number: 0,
             status,
             reason: Reason::None,
             due_in: 0,
@@ -152,8 +150,8 @@ impl<'a> Ticker<'a> {
     /// One tick. `overran`: another was due before this one was served.
     #[inline]
     pub fn tick(&mut self, counter: u32, overran: bool) -> Output {
-        self.number = self.number.wrapping_add(1);
-        self.link.tick.store(self.number, Relaxed);
+        let number = self.link.tick.load(Relaxed).wrapping_add(1);
+        self.link.tick.store(number, Relaxed);
         let mut period_s = None;
         if self.commands.ready() {
             period_s = self.obey();
@@ -163,7 +161,7 @@ impl<'a> Ticker<'a> {
         if self.state == StateCode::Armed {
             match fault_in(&tick, self.furthest_counts, overran) {
                 None => torque_nm = tick.torque_nm,
-                Some(fault) => self.fail(&tick, fault),
+                Some(fault) => self.fail(tick, fault),
             }
         }
         self.tell(&tick);
@@ -215,7 +213,8 @@ impl<'a> Ticker<'a> {
             }
             (Command::Arm | Command::Disarm, StateCode::Fault) | (Command::Clear, _) => false,
         };
-        self.link.taken_at.store(self.number, Relaxed);
+        let number = self.link.tick.load(Relaxed);
+        self.link.taken_at.store(number, Relaxed);
         self.status = LinkStatus {
             state: self.state,
             refused: !done,
@@ -227,7 +226,7 @@ impl<'a> Ticker<'a> {
 
     #[cold]
     #[inline(never)]
-    fn fail(&mut self, tick: &Tick, fault: Fault) {
+    fn fail(&mut self, tick: Tick, fault: Fault) {
         self.state = StateCode::Fault;
         self.status.state = StateCode::Fault;
         self.link.set_status(self.status);
@@ -241,7 +240,7 @@ impl<'a> Ticker<'a> {
         if every != 0 {
             if self.due_in <= 1 {
                 self.due_in = every;
-                self.record(tick, Occasion::Telemetry);
+                self.record(*tick, Occasion::Telemetry);
             } else {
                 self.due_in -= 1;
             }
@@ -249,17 +248,17 @@ impl<'a> Ticker<'a> {
         if tick.reason != self.reason {
             self.reason = tick.reason;
             if self.link.clamp_events.load(Relaxed) != 0 {
-                self.record(tick, Occasion::Clamp);
+                self.record(*tick, Occasion::Clamp);
             }
         }
     }
 
     #[inline(never)]
-    fn record(&mut self, tick: &Tick, occasion: Occasion) {
+    fn record(&mut self, tick: Tick, occasion: Occasion) {
         let record = Record {
-            number: self.number,
+            number: self.link.tick.load(Relaxed),
             state: self.state,
-            tick: *tick,
+            tick,
             demanded_nm_rad: self.controller.plan().demanded_nm_rad(),
             occasion,
         };

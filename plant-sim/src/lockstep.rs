@@ -81,6 +81,8 @@ pub enum Order {
     Panic = 4,
     /// Read an address where nothing is.
     HardFault = 5,
+    /// Say in [`ChipReport::cost`] how much stack was ever used, bytes.
+    Stack = 6,
 }
 
 /// How things stand on the chip.
