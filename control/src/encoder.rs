@@ -20,15 +20,17 @@ pub struct EncoderConfig {
 }
 
 impl EncoderConfig {
-    /// A counter of `bits` bits (2 to 32) that wraps, decimated by `decimation` ≥ 1.
+    /// A counter of `bits` bits (2 to 32) that wraps, decimated by `decimation`, 1 to 2³¹ − 1.
     ///
     /// # Errors
-    /// Refuses any other width, and a decimation of zero.
+    /// Refuses any other width, and any other decimation.
     pub fn new(bits: u32, decimation: u32) -> Result<Self, ConfigError> {
         if !(2..=32).contains(&bits) {
             return Err(ConfigError::CounterBits(bits));
         }
-        let decimation = NonZeroU32::new(decimation).ok_or(ConfigError::Decimation)?;
+        let decimation = NonZeroU32::new(decimation)
+            .filter(|decimation| decimation.get() <= i32::MAX as u32)
+            .ok_or(ConfigError::Decimation(decimation))?;
         Ok(Self {
             shift: 32 - bits,
             decimation,
@@ -90,8 +92,8 @@ impl Encoder {
         // From the lower edge of the present cell. A move so far that this does not fit in
         // 31 bits is divided in two parts.
         let from_edge = match moved.checked_add(self.residue as i32) {
-            Some(sum) if self.residue <= i32::MAX as u32 => sum,
-            _ => {
+            Some(sum) => sum,
+            None => {
                 let (counts, residue) = divide_down(moved, decimation);
                 self.count = self.count.wrapping_add(counts);
                 let room = decimation.get() - self.residue;
@@ -125,23 +127,19 @@ impl Encoder {
     }
 }
 
-/// ⌊n/d⌋ and n − d⌊n/d⌋.
+/// ⌊n/d⌋ and n − d⌊n/d⌋. For n < 0, ⌊n/d⌋ is the complement of the complement of n divided by d:
+/// no branch, and nothing to overflow.
 #[inline]
 fn divide_down(n: i32, d: NonZeroU32) -> (i32, u32) {
-    let size = n.unsigned_abs();
+    let sign = n >> 31;
+    let size = (n ^ sign) as u32;
     let quotient = size / d;
-    let rest = size % d;
-    if n >= 0 {
-        (quotient as i32, rest)
-    } else if rest == 0 {
-        ((quotient as i32).wrapping_neg(), 0)
-    } else {
-        // quotient ≤ 2³⁰ here, or d = 1 and rest = 0.
-        (
-            (quotient as i32).wrapping_neg().wrapping_sub(1),
-            d.get() - rest,
-        )
-    }
+    let rest = size - quotient * d.get();
+    let sign_bits = sign as u32;
+    (
+        quotient as i32 ^ sign,
+        (rest ^ sign_bits).wrapping_add(d.get() & sign_bits),
+    )
 }
 
 #[cfg(test)]
@@ -153,7 +151,7 @@ mod tests {
         #[test]
         fn counts_are_the_floor_of_the_hardware_position_divided(
             bits in 2u32..=32,
-            decimation in prop_oneof![1u32..10, 1u32..5000, any::<u32>().prop_map(|d| d.max(1))],
+            decimation in prop_oneof![1u32..10, 1u32..5000, 1..=i32::MAX as u32],
             start in -1_000_000i32..1_000_000,
             moves in prop::collection::vec(any::<i32>(), 1..50),
         ) {
@@ -177,6 +175,9 @@ mod tests {
     fn widths_and_decimations_that_do_not_exist_are_refused() {
         assert_eq!(EncoderConfig::new(1, 1), Err(ConfigError::CounterBits(1)));
         assert_eq!(EncoderConfig::new(33, 1), Err(ConfigError::CounterBits(33)));
-        assert_eq!(EncoderConfig::new(16, 0), Err(ConfigError::Decimation));
+        assert_eq!(EncoderConfig::new(16, 0), Err(ConfigError::Decimation(0)));
+        let most = i32::MAX as u32;
+        assert!(EncoderConfig::new(16, most).is_ok());
+        assert!(EncoderConfig::new(16, most + 1).is_err());
     }
 }

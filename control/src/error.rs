@@ -43,9 +43,9 @@ pub enum ConfigError {
     /// An encoder counter of a width that does not exist.
     #[error("an encoder counter of {0} bits; accepted: 2 to 32")]
     CounterBits(u32),
-    /// Decimation by zero.
-    #[error("encoder decimation is 0; accepted: a whole number from 1")]
-    Decimation,
+    /// Decimation by zero, or by too much.
+    #[error("encoder decimation is {0}; accepted: a whole number from 1 to 2147483647")]
+    Decimation(u32),
 }
 
 /// `value`, if it is finite and above zero.

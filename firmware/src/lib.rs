@@ -20,19 +20,22 @@ use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use heapless::spsc::{Consumer, Producer, Queue};
 use ticker::{Command, Record, StateCode};
 
+const COMMANDS: usize = 2;
+const RECORDS: usize = 64;
+
 /// Commands on their way to the tick: the desk sends the next when the last was taken.
-pub type Commands = Queue<Command, 2>;
+pub type Commands = Queue<Command, COMMANDS>;
 /// What the tick has to tell, on its way to the desk.
-pub type Records = Queue<Record, 64>;
+pub type Records = Queue<Record, RECORDS>;
 
 /// The desk's end of [`Commands`].
-pub type CommandSender<'a> = Producer<'a, Command>;
+pub type CommandSender<'a> = Producer<'a, Command, COMMANDS>;
 /// The tick's end of [`Commands`].
-pub type CommandReceiver<'a> = Consumer<'a, Command>;
+pub type CommandReceiver<'a> = Consumer<'a, Command, COMMANDS>;
 /// The tick's end of [`Records`].
-pub type RecordSender<'a> = Producer<'a, Record>;
+pub type RecordSender<'a> = Producer<'a, Record, RECORDS>;
 /// The desk's end of [`Records`].
-pub type RecordReceiver<'a> = Consumer<'a, Record>;
+pub type RecordReceiver<'a> = Consumer<'a, Record, RECORDS>;
 
 /// What the tick and the desk tell each other without a queue: single words, each written
 /// by one of them.

@@ -28,7 +28,8 @@ mod app {
     };
 
     /// Bytes from the host that the desk has not read yet.
-    type Bytes = Queue<u8, 512>;
+    type Bytes = Queue<u8, BYTES>;
+    const BYTES: usize = 512;
 
     #[shared]
     struct Shared {}
@@ -41,8 +42,8 @@ mod app {
         torque: Torque,
         ticker: Ticker<'static>,
         serial_in: SerialIn,
-        received: Producer<'static, u8>,
-        bytes: Consumer<'static, u8>,
+        received: Producer<'static, u8, BYTES>,
+        bytes: Consumer<'static, u8, BYTES>,
         serial_out: SerialOut,
         desk: Desk<'static>,
     }

@@ -87,7 +87,7 @@ fn together(parameters: &Parameters, error: ConfigError) -> Refusal {
     let name = match (error, parameters.shape) {
         (ConfigError::OutOfCounts { .. }, Shape::Spring) => Name::CentreRad,
         (ConfigError::OutOfCounts { .. }, Shape::Wall) => Name::WallRad,
-        (ConfigError::CounterBits(_) | ConfigError::Decimation, _) => Name::Decimation,
+        (ConfigError::CounterBits(_) | ConfigError::Decimation(_), _) => Name::Decimation,
         _ => Name::SamplePeriodS,
     };
     Refusal::Together { name }

@@ -122,6 +122,18 @@ impl Emulator {
     /// # Errors
     /// See [`LockstepError`].
     pub fn start(image: &Path, shift: u32) -> Result<Self, LockstepError> {
+        Self::start_with(image, shift, &[])
+    }
+
+    /// As [`Emulator::start`], with further arguments for QEMU.
+    ///
+    /// # Errors
+    /// See [`LockstepError`].
+    pub fn start_with(
+        image: &Path,
+        shift: u32,
+        arguments: &[String],
+    ) -> Result<Self, LockstepError> {
         let image = image.canonicalize().map_err(|error| LockstepError::Image {
             path: image.display().to_string(),
             error,
@@ -161,6 +173,7 @@ impl Emulator {
             .args(["-serial", "unix:serial,server=on,wait=on"])
             .arg("-kernel")
             .arg(&image)
+            .args(arguments)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::null())

@@ -1,0 +1,294 @@
+//! What the firmware costs: flash, RAM, stack, instructions of a tick. `cargo xtask size` prints it and
+//! writes `firmware/size.txt`; without that the figures must not exceed the file's by more than 2 %.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use acceptance::{Rig, request_frame};
+use object::{Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind};
+use plant_sim::lockstep::{Bench, Emulator, Order, Plant};
+use plant_sim::preset::preset;
+use protocol::{Changes, Fields, Law, Request, Subscription};
+
+/// Instructions that a tick of the plain spring may take: decimation, velocity, margin, clamp,
+/// spring, saturation.
+const PLAIN_TICK: usize = 120;
+
+struct Image {
+    bytes: Vec<u8>,
+    /// Address and size of every function, by name.
+    functions: BTreeMap<String, (u64, u64)>,
+    /// Where data lies among the code.
+    data: BTreeSet<u64>,
+    code: BTreeSet<u64>,
+    flash: u64,
+    ram: u64,
+}
+
+impl Image {
+    fn load() -> Self {
+        let bytes = fs::read(Rig::image()).expect("the firmware was built");
+        let file = object::File::parse(&*bytes).expect("an ELF file");
+        let (mut functions, mut data, mut code) =
+            (BTreeMap::new(), BTreeSet::new(), BTreeSet::new());
+        for symbol in file.symbols() {
+            let name = symbol.name().unwrap_or_default().to_owned();
+            if symbol.kind() == SymbolKind::Text && symbol.size() > 0 {
+                functions.insert(name, (symbol.address() & !1, symbol.size()));
+            } else if name.starts_with("$d") {
+                data.insert(symbol.address());
+            } else if name.starts_with("$t") {
+                code.insert(symbol.address());
+            }
+        }
+        let (mut flash, mut ram) = (0, 0);
+        for section in file.sections() {
+            let SectionFlags::Elf { sh_flags } = section.flags() else {
+                continue;
+            };
+            let (allocated, written) = (sh_flags & 2 != 0, sh_flags & 1 != 0);
+            let name = section.name().unwrap_or_default();
+            if !allocated || name == ".uninit" {
+                continue;
+            }
+            if !name.starts_with(".bss") {
+                flash += section.size();
+            }
+            if written {
+                ram += section.size();
+            }
+        }
+        Self {
+            functions,
+            data,
+            code,
+            flash,
+            ram,
+            bytes,
+        }
+    }
+
+    /// The one function whose mangled name holds all these parts.
+    fn function(&self, parts: &[&str]) -> (u64, u64) {
+        let mut found = self
+            .functions
+            .iter()
+            .filter(|(name, _)| parts.iter().all(|part| name.contains(part)));
+        let (_, place) = found
+            .next()
+            .unwrap_or_else(|| panic!("no function {parts:?}"));
+        *place
+    }
+
+    /// Functions that can be reached from one by branches with a fixed target.
+    fn reached_from(&self, start: u64) -> BTreeSet<&str> {
+        let by_address: BTreeMap<u64, (&str, u64)> = self
+            .functions
+            .iter()
+            .map(|(name, (at, size))| (*at, (name.as_str(), *size)))
+            .collect();
+        let mut names = BTreeSet::new();
+        let mut waiting = vec![start];
+        while let Some(address) = waiting.pop() {
+            let Some((name, size)) = by_address.get(&address) else {
+                continue;
+            };
+            if names.insert(*name) {
+                waiting.extend(self.branches(address, *size));
+            }
+        }
+        names
+    }
+
+    /// Targets of BL and B.W in a function (Thumb-2), outside of it.
+    fn branches(&self, start: u64, size: u64) -> Vec<u64> {
+        let file = object::File::parse(&*self.bytes).expect("an ELF file");
+        let section = file
+            .sections()
+            .find(|section| {
+                section.address() <= start && start < section.address() + section.size()
+            })
+            .expect("functions lie in sections");
+        let bytes = section.data().expect("code has bytes");
+        let half = |at: u64| {
+            let i = (at - section.address()) as usize;
+            u32::from(u16::from_le_bytes([bytes[i], bytes[i + 1]]))
+        };
+        let mut targets = Vec::new();
+        let mut at = start;
+        while at + 2 <= start + size {
+            let marks = |set: &BTreeSet<u64>| set.range(..=at).next_back().copied().unwrap_or(0);
+            if marks(&self.data) > marks(&self.code) {
+                at += 2;
+                continue;
+            }
+            let first = half(at);
+            if first >> 11 < 0b11101 {
+                at += 2;
+                continue;
+            }
+            let second = half(at + 2);
+            if first >> 11 == 0b11110
+                && second >> 14 & 3 == 0b11 | (second >> 14 & 1) << 1 & 2
+                && second & 0x9000 == 0x9000
+                || first >> 11 == 0b11110 && second & 0xD000 == 0xD000
+            {
+                let s = first >> 10 & 1;
+                let (j1, j2) = (second >> 13 & 1, second >> 11 & 1);
+                let (i1, i2) = (1 ^ j1 ^ s, 1 ^ j2 ^ s);
+                let offset =
+                    s << 24 | i1 << 23 | i2 << 22 | (first & 0x3FF) << 12 | (second & 0x7FF) << 1;
+                let offset = i64::from((offset << 7) as i32 >> 7);
+                let target = (at as i64 + 4 + offset) as u64;
+                if !(start..start + size).contains(&target) {
+                    targets.push(target);
+                }
+            }
+            at += 4;
+        }
+        targets
+    }
+}
+
+fn spring(law: Law) -> Request {
+    Request::Set(Changes {
+        law: Some(law),
+        stiffness_nm_rad: Some(0.5),
+        ..Changes::default()
+    })
+}
+
+/// A bench that renders, thrown at 3 rad/s.
+fn bench(shift: u32, arguments: &[String], law: Law) -> Bench {
+    let device = preset("re35").unwrap().device;
+    let mut bench = Bench {
+        emulator: Emulator::start_with(&Rig::image(), shift, arguments).unwrap(),
+        plant: Plant::new(device, 8192.0, 0.0).unwrap(),
+    };
+    for request in [spring(law), Request::Arm] {
+        bench.emulator.send(&request_frame(1, request)).unwrap();
+        bench.tick().unwrap();
+    }
+    bench.plant.let_go(3.0);
+    bench
+}
+
+/// Most instructions executed in a function in one tick.
+fn instructions(law: Law, (start, size): (u64, u64)) -> usize {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("exec.log");
+    let trace = ["-singlestep", "-d", "exec,nochain", "-dfilter"].map(String::from);
+    let mut arguments = trace.to_vec();
+    arguments.push(format!("{start:#x}+{size:#x}"));
+    arguments.extend(["-D".into(), log.display().to_string()]);
+    let mut bench = bench(0, &arguments, law);
+    for _ in 0..300 {
+        bench.tick().unwrap();
+    }
+    drop(bench);
+    let text = fs::read_to_string(&log).unwrap();
+    // Trace 0: 0x7f… [flags/PC/…] name. One line an instruction.
+    let addresses = text.lines().filter_map(|line| {
+        let fields = line.split_once('[')?.1;
+        u64::from_str_radix(fields.split('/').nth(1)?, 16).ok()
+    });
+    let (mut most, mut now) = (0, 0);
+    for address in addresses {
+        now = if address == start { 1 } else { now + 1 };
+        most = most.max(now);
+    }
+    assert!(most > 10, "the trace is empty");
+    most
+}
+
+fn measure() -> BTreeMap<&'static str, u64> {
+    let image = Image::load();
+    let tick = image.function(&["Controller4tick"]);
+    let mut figures = BTreeMap::from([("flash_bytes", image.flash), ("ram_bytes", image.ram)]);
+    for (name, law) in [
+        ("tick_raw_instructions", Law::Raw),
+        ("tick_static_instructions", Law::Static),
+        ("tick_episode_instructions", Law::Episode),
+    ] {
+        figures.insert(name, instructions(law, tick) as u64);
+    }
+    let mut whole = bench(0, &[], Law::Static);
+    let costs = (0..2000).map(|_| u64::from(whole.tick().unwrap().1.cost));
+    figures.insert("interrupt_static_instructions", costs.max().unwrap());
+    // Everything at once, for the deepest stack.
+    let mut busy = bench(3, &[], Law::Episode);
+    let all = Subscription {
+        every_ticks: 1,
+        fields: Fields::ALL,
+        clamp_events: true,
+    };
+    for request in [
+        Request::Subscribe(all),
+        Request::Hello { version: 1 },
+        spring(Law::Raw),
+        Request::Get,
+    ] {
+        busy.emulator.send(&request_frame(2, request)).unwrap();
+        for _ in 0..50 {
+            busy.tick().unwrap();
+        }
+    }
+    let stack = busy.emulator.exchange(Order::Stack, 0).unwrap().cost;
+    figures.insert("stack_bytes", u64::from(stack));
+    figures
+}
+
+fn file() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../firmware/size.txt")
+}
+
+#[test]
+fn size_and_cost_are_what_they_were() {
+    let figures = measure();
+    let mut text = String::new();
+    for (name, figure) in &figures {
+        writeln!(text, "{name} {figure}").unwrap();
+    }
+    println!("{text}");
+    assert!(figures["tick_raw_instructions"] <= PLAIN_TICK as u64);
+    assert!(figures["tick_static_instructions"] <= PLAIN_TICK as u64);
+    assert!(figures["tick_episode_instructions"] <= 180);
+    assert!(
+        figures["flash_bytes"] <= 768 * 1024
+            && figures["ram_bytes"] + figures["stack_bytes"] <= 128 * 1024
+    );
+    if std::env::var_os("KNOB_WRITE_SIZE").is_some() {
+        fs::write(file(), text).unwrap();
+        return;
+    }
+    let known =
+        fs::read_to_string(file()).expect("firmware/size.txt: write it with `cargo xtask size`");
+    for line in known.lines() {
+        let (name, limit) = line.split_once(' ').unwrap();
+        let (figure, limit) = (figures[name], limit.parse::<u64>().unwrap());
+        assert!(
+            figure * 100 <= limit * 102,
+            "{name} is {figure}, was {limit}: if that is meant, `cargo xtask size`"
+        );
+    }
+}
+
+#[test]
+fn the_tick_calls_no_panicking_code() {
+    let image = Image::load();
+    let reached = image.reached_from(image.function(&["TIM2"]).0);
+    assert!(
+        reached.iter().any(|name| name.contains("4tick")),
+        "{reached:?}"
+    );
+    let panics: Vec<_> = reached
+        .iter()
+        .filter(|name| name.contains("panic") || name.contains("unwrap"))
+        .collect();
+    assert!(panics.is_empty(), "the tick can reach {panics:?}");
+    // The walk would find a panic: init has one.
+    let init = image.reached_from(image.function(&["main"]).0);
+    assert!(init.iter().any(|name| name.contains("panic")), "{init:?}");
+}
