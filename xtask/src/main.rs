@@ -1,27 +1,41 @@
 //! `cargo xtask`: what a newcomer and CI call.
 //!
-//! `setup` installs what is missing and says so; `figures` writes the paper's figures to
-//! `target/figures/`; `test` runs everything that must pass; `check` adds what CI asks
-//! of the code itself. Each does the set-up it needs first.
+//! `demo` runs the firmware in an emulator against the exact plant and tells what happens; `test`
+//! runs everything that must pass. Each installs what it lacks first, and says so.
 #![forbid(unsafe_code)]
 
-use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
+mod firmware;
+mod tools;
 
-use anyhow::{Context, Result, bail};
+use std::process::ExitCode;
+
+use anyhow::Result;
 use clap::Parser;
+use tools::{cargo, run};
 
-/// Set-up, figures and tests of this workspace.
+/// Set-up, firmware, demo, figures and tests of this workspace.
 #[derive(Parser)]
 #[command(bin_name = "cargo xtask")]
 enum Task {
     /// Install what is missing for everything below, and say what
     Setup,
+    /// Build the firmware for the emulated board, to target/firmware/emulated.elf
+    Firmware,
+    /// Run the firmware in the emulator against the exact plant, and tell what happens
+    Demo {
+        /// Leave the device running for `knob` from another terminal, until Ctrl-C
+        #[arg(long)]
+        hold: bool,
+        /// Print the figures as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
     /// Compute the paper's figures and write them to target/figures/
     Figures,
-    /// Run every test
+    /// Run every test, those of the firmware in the emulator too
     Test,
+    /// Measure flash, RAM, stack and the tick's instructions, and write firmware/size.txt
+    Size,
     /// Formatting, clippy without warnings, documentation without warnings
     Check,
 }
@@ -29,8 +43,11 @@ enum Task {
 fn main() -> ExitCode {
     let done = match Task::parse() {
         Task::Setup => setup(),
-        Task::Figures => figures(),
+        Task::Firmware => firmware::build(),
+        Task::Demo { hold, json } => demo(hold, json),
+        Task::Figures => knob(&["figures", "--out", "target/figures", "--force"]),
         Task::Test => test(),
+        Task::Size => size(),
         Task::Check => check(),
     };
     match done {
@@ -42,66 +59,17 @@ fn main() -> ExitCode {
     }
 }
 
-fn root() -> PathBuf {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    here.parent().unwrap_or(here).to_owned()
-}
-
-/// A command at the root of the workspace.
-fn command(program: impl AsRef<OsStr>) -> Command {
-    let mut command = Command::new(program);
-    command.current_dir(root());
-    command
-}
-
-/// The cargo that runs this task.
-fn cargo() -> Command {
-    command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-}
-
-/// Runs a command whose output the user sees; says what it is first.
-fn run(command: &mut Command) -> Result<()> {
-    let arguments: Vec<_> = command.get_args().map(OsStr::to_string_lossy).collect();
-    let program = command.get_program().to_string_lossy();
-    let name = Path::new(program.as_ref())
-        .file_stem()
-        .unwrap_or_default()
-        .to_string_lossy();
-    let line = format!("{name} {}", arguments.join(" "));
-    eprintln!("xtask: {line}");
-    let status = command
-        .status()
-        .with_context(|| format!("cannot run `{line}`"))?;
-    if !status.success() {
-        bail!("`{line}` failed");
-    }
-    Ok(())
-}
-
-/// True if a command can be run and succeeds.
-fn works(command: &mut Command) -> bool {
-    let status = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
-    status.is_ok_and(|status| status.success())
-}
-
-/// The parts of the toolchain that `check` needs and a minimal Rust lacks.
-const COMPONENTS: [&str; 2] = ["fmt", "clippy"];
-
 fn setup() -> Result<()> {
-    for tool in COMPONENTS {
-        if works(cargo().args([tool, "--version"])) {
-            eprintln!("xtask: cargo {tool} is there");
-            continue;
-        }
-        let component = if tool == "fmt" { "rustfmt" } else { tool };
-        eprintln!("xtask: cargo {tool} is missing: installing {component} with rustup");
-        run(command("rustup").args(["component", "add", component]))?;
-    }
-    eprintln!("xtask: nothing else is needed");
+    tools::rust_component("fmt", "rustfmt")?;
+    tools::rust_component("clippy", "clippy")?;
+    tools::program("qemu-system-arm", &["qemu-system-arm"])?;
+    firmware::toolchain()?;
+    eprintln!("xtask: all that is needed is there");
     Ok(())
 }
 
-fn figures() -> Result<()> {
+/// Runs the `knob` of this workspace.
+fn knob(arguments: &[&str]) -> Result<()> {
     let knob = [
         "run",
         "--quiet",
@@ -112,26 +80,57 @@ fn figures() -> Result<()> {
         "knob",
         "--",
     ];
-    run(cargo()
-        .args(knob)
-        .args(["figures", "--out", "target/figures", "--force"]))
+    run(cargo().args(knob).args(arguments))
+}
+
+fn demo(hold: bool, json: bool) -> Result<()> {
+    tools::program("qemu-system-arm", &["qemu-system-arm"])?;
+    firmware::build()?;
+    let mut arguments = vec!["demo", "--out", "target/demo", "--force"];
+    arguments.extend(hold.then_some("--hold"));
+    arguments.extend(json.then_some("--json"));
+    knob(&arguments)
 }
 
 fn test() -> Result<()> {
-    run(cargo().args(["test", "--workspace"]))
+    tools::program("qemu-system-arm", &["qemu-system-arm"])?;
+    firmware::build()?;
+    run(cargo().args(["test", "--workspace", "--features", "acceptance/emulator"]))
+}
+
+fn size() -> Result<()> {
+    tools::program("qemu-system-arm", &["qemu-system-arm"])?;
+    firmware::build()?;
+    let test = [
+        "test",
+        "-p",
+        "acceptance",
+        "--features",
+        "emulator",
+        "--test",
+        "firmware_cost",
+        "size",
+    ];
+    run(cargo()
+        .env("KNOB_WRITE_SIZE", "1")
+        .args(test)
+        .args(["--", "--nocapture"]))
 }
 
 fn check() -> Result<()> {
-    setup()?;
+    tools::rust_component("fmt", "rustfmt")?;
+    tools::rust_component("clippy", "clippy")?;
     run(cargo().args(["fmt", "--all", "--check"]))?;
-    run(cargo().args([
-        "clippy",
+    let everything = [
         "--workspace",
         "--all-targets",
-        "--",
-        "-D",
-        "warnings",
-    ]))?;
+        "--features",
+        "acceptance/emulator",
+    ];
+    run(cargo()
+        .arg("clippy")
+        .args(everything)
+        .args(["--", "-D", "warnings"]))?;
     run(cargo()
         .env("RUSTDOCFLAGS", "-D warnings")
         .args(["doc", "--workspace", "--no-deps"]))
