@@ -60,11 +60,17 @@ impl Twin {
 
     /// One tick, and what follows it. Returns the torque, Nm.
     pub fn tick(&mut self, counter: u32, late: bool) -> f32 {
+        let torque_nm = self.tick_alone(counter, late);
+        self.serve();
+        torque_nm
+    }
+
+    /// One tick while the desk is busy with something else, such as a slow line.
+    pub fn tick_alone(&mut self, counter: u32, late: bool) -> f32 {
         let output = self.ticker.tick(counter, late);
         if let Some(period_s) = output.period_s {
             self.period_s = period_s;
         }
-        self.serve();
         output.torque_nm
     }
 
