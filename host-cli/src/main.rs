@@ -1,4 +1,4 @@
-//! `knob`: simulate, map and plan a haptic display.
+//! `knob`: simulate, map and plan a haptic display, and talk to one.
 //!
 //! Results go to standard output (one JSON object with `--json`), progress and errors to
 //! standard error. Exit status: 0 success, 1 failure, 2 bad usage, 130 stopped by Ctrl-C.
@@ -6,15 +6,22 @@
 
 mod charts;
 mod commands;
+mod device;
+mod emulators;
 mod number;
 mod output;
+mod parameters;
+mod ports;
 mod progress;
 mod scene;
+mod session;
 mod stop;
+mod words;
 
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use commands::orders::{self, Order};
 
 /// The stiffest virtual spring that can be trusted: simulate a haptic knob exactly, map where it is stable, plan how stiff it can be.
 #[derive(Parser)]
@@ -30,6 +37,25 @@ enum Command {
     Map(commands::map::Args),
     Plan(commands::plan::Args),
     Figures(commands::figures::Args),
+    Emulate(commands::emulate::Args),
+    Demo(commands::demo::Args),
+    Ports(commands::ports::Args),
+    Info(commands::info::Args),
+    Get(commands::get::Args),
+    Set(commands::set::Args),
+    /// Render from now on, as soon as the knob passes zero force.
+    #[command(after_help = "Example:\n  knob arm")]
+    Arm(orders::Args),
+    /// No torque from now on.
+    #[command(after_help = "Example:\n  knob disarm")]
+    Disarm(orders::Args),
+    /// Leave the fault state, disarmed.
+    #[command(after_help = "Example:\n  knob clear && knob arm")]
+    Clear(orders::Args),
+    /// Keep the parameters for the next start.
+    #[command(after_help = "Example:\n  knob save")]
+    Save(orders::Args),
+    Log(commands::log::Args),
 }
 
 fn main() -> ExitCode {
@@ -40,6 +66,17 @@ fn main() -> ExitCode {
         Command::Map(args) => commands::map::run(&args),
         Command::Plan(args) => commands::plan::run(&args),
         Command::Figures(args) => commands::figures::run(&args),
+        Command::Emulate(args) => commands::emulate::run(&args),
+        Command::Demo(args) => commands::demo::run(&args),
+        Command::Ports(args) => commands::ports::run(&args),
+        Command::Info(args) => commands::info::run(&args),
+        Command::Get(args) => commands::get::run(&args),
+        Command::Set(args) => commands::set::run(&args),
+        Command::Arm(args) => orders::run(&args, Order::Arm),
+        Command::Disarm(args) => orders::run(&args, Order::Disarm),
+        Command::Clear(args) => orders::run(&args, Order::Clear),
+        Command::Save(args) => orders::run(&args, Order::Save),
+        Command::Log(args) => commands::log::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

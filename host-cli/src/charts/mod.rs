@@ -1,5 +1,6 @@
 //! Pictures, as SVG.
 
+pub mod demo;
 pub mod figures;
 pub mod map;
 pub mod plan;

@@ -1,6 +1,14 @@
 //! One module per subcommand: its flags, and what it does.
 
+pub mod demo;
+pub mod emulate;
 pub mod figures;
+pub mod get;
+pub mod info;
+pub mod log;
 pub mod map;
+pub mod orders;
 pub mod plan;
+pub mod ports;
+pub mod set;
 pub mod simulate;

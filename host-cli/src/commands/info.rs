@@ -1,0 +1,70 @@
+//! `knob info`: who a device is, and how.
+
+use anyhow::Result;
+use protocol::State;
+use serde::Serialize;
+
+use crate::ports::Connection;
+use crate::words;
+
+/// Show who the device is and how: firmware, board, state, and why it is in fault if it is.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  knob info --port /dev/ttyACM0")]
+pub struct Args {
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Serialize)]
+struct Json<'a> {
+    port: &'a str,
+    firmware: &'a str,
+    git_hash: &'a str,
+    board: &'a str,
+    protocol: u16,
+    state: &'a str,
+    fault: Option<&'a str>,
+    fault_text: Option<String>,
+    tick: u32,
+    dropped: u32,
+    bad_frames: u32,
+}
+
+pub fn run(args: &Args) -> Result<()> {
+    let (mut device, identity) = args.connection.connect()?;
+    let status = device.status()?;
+    let fault = match status.state {
+        State::Fault(fault) => Some(fault),
+        State::Disarmed | State::Armed => None,
+    };
+    if args.connection.json {
+        let json = Json {
+            port: device.path(),
+            firmware: &identity.firmware,
+            git_hash: &identity.git_hash,
+            board: &identity.board,
+            protocol: identity.version,
+            state: words::state(status.state),
+            fault: fault.map(words::fault_code),
+            fault_text: fault.map(words::fault),
+            tick: status.tick,
+            dropped: status.dropped,
+            bad_frames: status.bad_frames,
+        };
+        println!("{}", serde_json::to_string(&json)?);
+        return Ok(());
+    }
+    println!("port         {}", device.path());
+    println!("board        {}", identity.board);
+    println!(
+        "firmware     {} ({}), protocol {}",
+        identity.firmware, identity.git_hash, identity.version
+    );
+    println!("state        {}", words::state_in_full(status.state));
+    println!("tick         {}", status.tick);
+    println!(
+        "lost         {} messages found no room, {} frames could not be read",
+        status.dropped, status.bad_frames
+    );
+    Ok(())
+}

@@ -1,0 +1,70 @@
+//! `knob set`: change parameters, all or none.
+
+use anyhow::{Result, bail};
+use protocol::{Name, Refusal, Request};
+use serde::Serialize;
+
+use super::get;
+use crate::device::Outcome;
+use crate::parameters::{self, Assignment, Named};
+use crate::ports::Connection;
+use crate::stop::Usage;
+use crate::words;
+
+/// Change parameters: all that are given, or none. Names and units as `knob get` shows them.
+///
+/// Words: law=raw|static|episode, shape=spring|wall. What is believed of the motor is a number
+/// or a range: coulomb_nm=1.8e-3..2.2e-3.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  knob set stiffness_nm_rad=0.5 law=episode\n  knob set coulomb_nm=1.8e-3..2.2e-3 shape=wall wall_rad=-0.2"
+)]
+pub struct Args {
+    /// What to change
+    #[arg(value_name = "NAME=VALUE", required = true, value_parser = Assignment::read)]
+    assignments: Vec<Assignment>,
+    #[command(flatten)]
+    connection: Connection,
+}
+
+#[derive(Serialize)]
+struct Json<'a> {
+    /// In force from this tick on.
+    tick: u32,
+    #[serde(flatten)]
+    parameters: Named<'a>,
+}
+
+pub fn run(args: &Args) -> Result<()> {
+    let changes = parameters::changes(&args.assignments).map_err(Usage)?;
+    let (mut device, identity) = args.connection.connect()?;
+    let tick = match device.order(Request::Set(changes))? {
+        Outcome::Done { tick } => tick,
+        Outcome::Refused(refusal) => {
+            let wanted = match refusal {
+                Refusal::Together { .. } => Some(device.parameters()?.with(&changes)),
+                _ => None,
+            };
+            bail!(
+                "nothing was set: {}",
+                words::refusal(&refusal, &identity.board, wanted.as_ref())
+            );
+        }
+    };
+    let all = device.parameters()?;
+    if args.connection.json {
+        let json = Json {
+            tick,
+            parameters: Named {
+                all: &all,
+                names: Name::ALL,
+            },
+        };
+        println!("{}", serde_json::to_string(&json)?);
+    } else {
+        let names: Vec<Name> = args.assignments.iter().map(|one| one.name).collect();
+        get::print(&all, &names);
+        println!("in force from tick {tick}");
+    }
+    Ok(())
+}

@@ -1,0 +1,154 @@
+//! What a device says, in words.
+
+use protocol::{ClampReason, Fault, Parameters, Refusal, State};
+
+use crate::parameters::{short, value};
+
+/// A state in a word, as scripts see it.
+pub fn state(state: State) -> &'static str {
+    match state {
+        State::Disarmed => "disarmed",
+        State::Armed => "armed",
+        State::Fault(_) => "fault",
+    }
+}
+
+/// A state in words, with what to do about it.
+pub fn state_in_full(given: State) -> String {
+    match given {
+        State::Fault(cause) => format!("in fault: {}; `knob clear` leaves it", fault(cause)),
+        other => state(other).into(),
+    }
+}
+
+/// A fault in a word, as scripts see it.
+pub fn fault_code(fault: Fault) -> &'static str {
+    match fault {
+        Fault::Overrun => "overrun",
+        Fault::EncoderJump { .. } => "encoder-jump",
+        Fault::TorqueNotFinite => "torque-not-finite",
+    }
+}
+
+/// A fault in words.
+pub fn fault(fault: Fault) -> String {
+    match fault {
+        Fault::Overrun => "a tick was not done before the next was due".into(),
+        Fault::EncoderJump { counts } => format!(
+            "the encoder moved {counts} counts in one period, more than speed_max_rad_s allows"
+        ),
+        Fault::TorqueNotFinite => "the torque was not a finite number".into(),
+    }
+}
+
+/// Why the stiffness is clamped, in a word, as scripts see it.
+pub fn clamp_code(reason: ClampReason) -> &'static str {
+    match reason {
+        ClampReason::None => "none",
+        ClampReason::Viscous => "viscous",
+        ClampReason::Coulomb => "coulomb",
+        ClampReason::Speed => "speed",
+        ClampReason::ZeroForce => "zero-force",
+        ClampReason::Torque => "torque",
+    }
+}
+
+/// Why the stiffness is clamped, in words.
+pub fn clamp(reason: ClampReason) -> &'static str {
+    match reason {
+        ClampReason::None => "not clamped",
+        ClampReason::Viscous => "sampled too slowly for this viscous friction: 2b/T",
+        ClampReason::Coulomb => "encoder too coarse for this Coulomb friction: 2c/Δ",
+        ClampReason::Speed => "too fast in this contact",
+        ClampReason::ZeroForce => "may rise only at zero force, and waits for it",
+        ClampReason::Torque => "the torque limit",
+    }
+}
+
+/// Why a request was not done. `wanted`: the parameters as they would have been.
+pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> String {
+    match *refusal {
+        Refusal::Version { accepted } => {
+            format!("the device speaks version {accepted} of the protocol")
+        }
+        Refusal::Value {
+            name,
+            given,
+            lowest,
+            highest,
+        } => format!(
+            "{}: {} is out of range; accepted: {} to {}",
+            name.as_str(),
+            short(given),
+            short(lowest),
+            short(highest)
+        ),
+        Refusal::Reversed { name, low, high } => format!(
+            "{}: {}..{} has its lower end above its upper end; accepted: LOW..HIGH with LOW ≤ HIGH",
+            name.as_str(),
+            short(low),
+            short(high)
+        ),
+        Refusal::Together { name } => {
+            let given = wanted.map_or_else(String::new, |all| format!("={}", value(all, name)));
+            format!(
+                "{}{given}: does not go together with the other parameters; accepted: an angle within 2^30 counts of zero, and a period, a decimation and counts_per_rev that fit the board's counter",
+                name.as_str()
+            )
+        }
+        Refusal::Armed { name } => format!(
+            "{}: may only be changed while disarmed; `knob disarm` first",
+            name.as_str()
+        ),
+        Refusal::State(state) => format!("the device is {}", state_in_full(state)),
+        Refusal::NoStorage => {
+            format!("this board ({board}) keeps no settings; set them anew after each start")
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::Name;
+
+    #[test]
+    fn every_refusal_names_what_is_wrong_and_what_would_be_accepted() {
+        let name = Name::CentreRad;
+        for (given, parts) in [
+            (Refusal::Version { accepted: 9 }, &["version 9"][..]),
+            (
+                Refusal::Value {
+                    name,
+                    given: f32::NAN,
+                    lowest: -1e-7,
+                    highest: 1e9,
+                },
+                &["centre_rad: NaN", "-1e-7 to 1e9"],
+            ),
+            (
+                Refusal::Reversed {
+                    name: Name::CoulombNm,
+                    low: 2.0,
+                    high: 0.5,
+                },
+                &["coulomb_nm: 2..0.5", "LOW ≤ HIGH"],
+            ),
+            (
+                Refusal::Together { name },
+                &["centre_rad", "accepted: an angle within 2^30 counts"],
+            ),
+            (Refusal::Armed { name }, &["centre_rad", "knob disarm"]),
+            (
+                Refusal::State(State::Fault(Fault::Overrun)),
+                &["a tick was not done", "knob clear"],
+            ),
+            (Refusal::NoStorage, &["some board", "keeps no settings"]),
+        ] {
+            let said = refusal(&given, "some board", None);
+            for part in parts {
+                assert!(said.contains(part), "`{part}` is missing in: {said}");
+            }
+        }
+    }
+}

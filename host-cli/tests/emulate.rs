@@ -1,0 +1,156 @@
+//! `knob emulate` and `knob demo` with the firmware's image in the emulator. Built and turned on by
+//! `cargo xtask test`.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn knob() -> Command {
+    let mut knob = Command::new(env!("CARGO_BIN_EXE_knob"));
+    let image = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/firmware/emulated.elf");
+    if std::env::var_os("KNOB_FIRMWARE").is_none() {
+        knob.env("KNOB_FIRMWARE", image);
+    }
+    knob.env_remove("KNOB_PORT");
+    knob
+}
+
+fn run(args: &[&str]) -> Output {
+    knob().args(args).output().unwrap()
+}
+
+fn json(args: &[&str]) -> Value {
+    let output = run(args);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "knob {args:?}: {said}");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// An emulated knob that ends with the test.
+struct Emulated {
+    child: Child,
+    port: String,
+}
+
+impl Emulated {
+    fn start(args: &[&str]) -> Self {
+        let mut command = knob();
+        command.arg("emulate").args(args).arg("--json");
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let said: Value = serde_json::from_str(&line).unwrap_or_else(|error| {
+            let _ = child.kill();
+            panic!("{error}: {line}");
+        });
+        Self {
+            child,
+            port: said["port"].as_str().unwrap().to_owned(),
+        }
+    }
+
+    fn interrupt(mut self) -> Option<i32> {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        self.child.wait().unwrap().code()
+    }
+}
+
+impl Drop for Emulated {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn the_emulated_knob_is_set_armed_logged_and_left() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (link, record, log) = (at("port"), at("record.csv"), at("log.csv"));
+    let emulated = Emulated::start(&["--port-link", &link, "--record", &record]);
+    assert_eq!(fs::read_link(&link).unwrap(), PathBuf::from(&emulated.port));
+
+    let info = json(&["info", "--port", &link, "--json"]);
+    assert!(info.to_string().contains("emulated"), "{info}");
+    let set = ["law=raw", "stiffness_nm_rad=0.5", "coulomb_nm=1.8e-3..2.2e-3"];
+    json(&[&["set", "--port", &link, "--json"], &set[..]].concat());
+    let got = json(&["get", "--port", &link, "--json"]);
+    assert!(got.to_string().contains("\"stiffness_nm_rad\":0.5"), "{got}");
+    json(&["arm", "--port", &link, "--json"]);
+    json(&["log", "--seconds", "1", "--out", &log, "--port", &link, "--json"]);
+    let rows = fs::read_to_string(&log).unwrap();
+    assert!(rows.lines().count() > 500, "{} rows", rows.lines().count());
+    // Without a gap: 1 kHz over the emulator's line.
+    let ticks: Vec<u64> = rows.lines().skip(1).map(|row| row.split(',').next().unwrap().parse().unwrap()).collect();
+    assert!(ticks.windows(2).all(|pair| pair[1] == pair[0] + 1));
+
+    let refused = run(&["set", "sample_period_s=2e-3", "--port", &link]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("sample_period_s"));
+    json(&["disarm", "--port", &link, "--json"]);
+    assert_eq!(run(&["save", "--port", &link]).status.code(), Some(1));
+
+    assert_eq!(emulated.interrupt(), Some(130));
+    assert!(!Path::new(&link).exists());
+    let rows = fs::read_to_string(&record).unwrap();
+    assert!(rows.starts_with("time_s,angle_rad") && rows.lines().count() > 500);
+    let gone = run(&["info", "--port", &link]);
+    assert_eq!(gone.status.code(), Some(1));
+}
+
+#[test]
+fn a_scene_makes_the_plant() {
+    let folder = TempDir::new().unwrap();
+    let record = folder.path().join("record.csv");
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes/fig6a.toml");
+    let emulated = Emulated::start(&[
+        "--scene",
+        scene.to_str().unwrap(),
+        "--pace",
+        "free",
+        "--record",
+        record.to_str().unwrap(),
+    ]);
+    // Disarmed, the knob coasts from 30 rad/s until friction stops it.
+    json(&["info", "--port", &emulated.port, "--json"]);
+    assert_eq!(emulated.interrupt(), Some(130));
+    let rows = fs::read_to_string(&record).unwrap();
+    let speed = |row: &str| row.split(',').nth(2).unwrap().parse::<f64>().unwrap();
+    assert_eq!(rows.lines().nth(1).map(speed), Some(30.0));
+    assert!(rows.lines().nth(2).map(speed).unwrap() < 30.0);
+}
+
+#[test]
+fn the_demo_tells_what_the_paper_says() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("demo");
+    let demo = json(&["demo", "--json", "--out", out.to_str().unwrap()]);
+    let number = |throw: &str, key: &str| demo[throw][key].as_f64().unwrap();
+    assert_eq!(demo["soft_wall"]["at_rest"], true);
+    assert!(number("soft_wall", "energy_ratio") <= 1.0);
+    assert!(number("raw_spring", "energy_ratio") > 10.0);
+    assert_eq!(demo["clamped_spring"]["at_rest"], true);
+    assert!(number("clamped_spring", "energy_ratio") <= 1.0);
+    assert!((number("clamped_spring", "stiffness_applied_nm_rad") - 0.018).abs() < 1e-5);
+    assert_eq!(demo["coarse_raw"]["at_rest"], false);
+    assert_eq!(demo["coarse_clamped"]["at_rest"], true);
+    assert!(demo["refused"].as_str().unwrap().contains("sample_period_s is 0.05"));
+    for chart in ["hit.svg", "coarse.svg"] {
+        assert!(fs::read_to_string(out.join(chart)).unwrap().trim_end().ends_with("</svg>"));
+    }
+}
+
+#[test]
+fn an_image_that_is_none_is_refused() {
+    for (image, words) in [("nowhere.elf", "cargo xtask firmware"), ("Cargo.toml", "--firmware")] {
+        let output = run(&["demo", "--firmware", image]);
+        assert_eq!(output.status.code(), Some(1));
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(said.contains(words), "{said}");
+    }
+}
