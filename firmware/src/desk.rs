@@ -27,6 +27,10 @@ pub struct Identity {
     pub counter_bits: u32,
 }
 
+/// Records sent before the host is listened to again: on a slow line the tick may tell faster than
+/// can be sent.
+const RECORDS_AT_A_TIME: u32 = 8;
+
 /// A request that the tick has not answered yet.
 #[derive(Debug, Clone, Copy)]
 struct Pending {
@@ -45,8 +49,6 @@ pub struct Desk<'a> {
     pending: Option<Pending>,
     frames: Frames,
     bad_frames: u32,
-    /// The fault that the tick told of last.
-    fault: Fault,
     /// Drops that the host has been told of.
     dropped_told: u32,
     unasked: u16,
@@ -72,7 +74,6 @@ impl<'a> Desk<'a> {
             pending: None,
             frames: Frames::new(),
             bad_frames: 0,
-            fault: Fault::Overrun,
             dropped_told: 0,
             unasked: 0,
             link,
@@ -81,8 +82,9 @@ impl<'a> Desk<'a> {
         }
     }
 
-    /// Does all there is to do: answers what the tick has taken, reads what the host sent as long as
-    /// no request waits for the tick, sends what the tick has told.
+    /// Answers what the tick has taken, reads what the host sent as long as no request waits for the
+    /// tick, and sends some of what the tick has told. What is left is for the next call, which the next
+    /// tick brings.
     pub fn serve(&mut self, mut read: impl FnMut() -> Option<u8>, mut write: impl FnMut(&[u8])) {
         self.answer_pending(&mut write);
         while self.pending.is_none() {
@@ -97,7 +99,10 @@ impl<'a> Desk<'a> {
                 Err(_) => self.bad_frames = self.bad_frames.wrapping_add(1),
             }
         }
-        while let Some(record) = self.records.dequeue() {
+        for _ in 0..RECORDS_AT_A_TIME {
+            let Some(record) = self.records.dequeue() else {
+                break;
+            };
             self.tell(&record, &mut write);
         }
         let dropped = self.link.dropped.load(Relaxed);
@@ -118,7 +123,7 @@ impl<'a> Desk<'a> {
         match code {
             StateCode::Disarmed => State::Disarmed,
             StateCode::Armed => State::Armed,
-            StateCode::Fault => State::Fault(fault(self.fault)),
+            StateCode::Fault => State::Fault(fault(self.link.fault())),
         }
     }
 
@@ -244,13 +249,10 @@ impl<'a> Desk<'a> {
         let tick = &record.tick;
         let armed = record.state == StateCode::Armed;
         let message = match record.occasion {
-            Occasion::Fault(cause) => {
-                self.fault = cause;
-                Message::Event(Event::Fault {
-                    tick: record.number,
-                    fault: fault(cause),
-                })
-            }
+            Occasion::Fault(cause) => Message::Event(Event::Fault {
+                tick: record.number,
+                fault: fault(cause),
+            }),
             Occasion::Clamp => Message::Event(Event::Clamp {
                 tick: record.number,
                 reason: clamp_reason(tick.reason),

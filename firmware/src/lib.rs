@@ -18,7 +18,7 @@ pub mod ticker;
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use heapless::spsc::{Consumer, Producer, Queue};
-use ticker::{Command, Record, StateCode};
+use ticker::{Command, Fault, Record, StateCode};
 
 const COMMANDS: usize = 2;
 const RECORDS: usize = 64;
@@ -49,6 +49,9 @@ pub struct Link {
     taken_at: AtomicU32,
     /// By the tick: records that found no room.
     dropped: AtomicU32,
+    /// By the tick, before it says that it is in fault: which, and how many counts.
+    fault: AtomicU32,
+    fault_counts: AtomicU32,
     /// By the desk: one record every so many ticks; 0: none.
     every_ticks: AtomicU32,
     /// By the desk: 1 if changes of the clamp's reason are wanted.
@@ -74,6 +77,8 @@ impl Link {
             tick: AtomicU32::new(0),
             taken_at: AtomicU32::new(0),
             dropped: AtomicU32::new(0),
+            fault: AtomicU32::new(0),
+            fault_counts: AtomicU32::new(0),
             every_ticks: AtomicU32::new(0),
             clamp_events: AtomicU32::new(0),
         }
@@ -83,6 +88,27 @@ impl Link {
         let word =
             status.state as u32 | u32::from(status.refused) << 8 | u32::from(status.taken) << 16;
         self.status.store(word, Relaxed);
+    }
+
+    fn set_fault(&self, fault: Fault) {
+        let (code, counts) = match fault {
+            Fault::Overrun => (0, 0),
+            Fault::EncoderJump { counts } => (1, counts),
+            Fault::TorqueNotFinite => (2, 0),
+        };
+        self.fault_counts.store(counts as u32, Relaxed);
+        self.fault.store(code, Relaxed);
+    }
+
+    /// The last fault.
+    fn fault(&self) -> Fault {
+        match self.fault.load(Relaxed) {
+            0 => Fault::Overrun,
+            1 => Fault::EncoderJump {
+                counts: self.fault_counts.load(Relaxed) as i32,
+            },
+            _ => Fault::TorqueNotFinite,
+        }
     }
 
     fn status(&self) -> LinkStatus {

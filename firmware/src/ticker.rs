@@ -227,6 +227,7 @@ impl<'a> Ticker<'a> {
     #[cold]
     #[inline(never)]
     fn fail(&mut self, tick: Tick, fault: Fault) {
+        self.link.set_fault(fault);
         self.state = StateCode::Fault;
         self.status.state = StateCode::Fault;
         self.link.set_status(self.status);
@@ -238,7 +239,8 @@ impl<'a> Ticker<'a> {
     fn tell(&mut self, tick: &Tick) {
         let every = self.link.every_ticks.load(Relaxed);
         if every != 0 {
-            if self.due_in <= 1 {
+            // Also where less often was asked for before.
+            if self.due_in <= 1 || self.due_in > every {
                 self.due_in = every;
                 self.record(*tick, Occasion::Telemetry);
             } else {

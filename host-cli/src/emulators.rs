@@ -6,9 +6,10 @@ use std::io::{self, Write};
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::{Path, PathBuf};
 
-/// Where the files are.
+/// Where the files are: each user's apart, as they share the folder above.
 fn folder() -> PathBuf {
-    std::env::temp_dir().join("knob-emulators")
+    let user = rustix::process::getuid().as_raw();
+    std::env::temp_dir().join(format!("knob-emulators-{user}"))
 }
 
 /// This process's entry; gone when dropped.

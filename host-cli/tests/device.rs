@@ -753,7 +753,10 @@ fn a_port_that_cannot_be_opened_is_an_error() {
 #[test]
 fn emulators_are_listed_and_found() {
     let folder = TempDir::new().unwrap();
-    let entries = folder.path().join("knob-emulators");
+    let entries = folder.path().join(format!(
+        "knob-emulators-{}",
+        rustix::process::getuid().as_raw()
+    ));
     fs::create_dir(&entries).unwrap();
     let in_folder = |args: &[&str]| end(knob(args).env("TMPDIR", folder.path()).spawn().unwrap());
     let listed = || {

@@ -40,9 +40,15 @@ impl Emulated {
     fn start(args: &[&str]) -> Self {
         let mut command = knob();
         command.arg("emulate").args(args).arg("--json");
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut child = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
         let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        BufReader::new(child.stdout.take().unwrap())
+            .read_line(&mut line)
+            .unwrap();
         let said: Value = serde_json::from_str(&line).unwrap_or_else(|error| {
             let _ = child.kill();
             panic!("{error}: {line}");
@@ -55,7 +61,13 @@ impl Emulated {
 
     fn interrupt(mut self) -> Option<i32> {
         let id = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        assert!(
+            Command::new("kill")
+                .args(["-INT", &id])
+                .status()
+                .unwrap()
+                .success()
+        );
         self.child.wait().unwrap().code()
     }
 }
@@ -77,16 +89,36 @@ fn the_emulated_knob_is_set_armed_logged_and_left() {
 
     let info = json(&["info", "--port", &link, "--json"]);
     assert!(info.to_string().contains("emulated"), "{info}");
-    let set = ["law=raw", "stiffness_nm_rad=0.5", "coulomb_nm=1.8e-3..2.2e-3"];
+    let set = [
+        "law=raw",
+        "stiffness_nm_rad=0.5",
+        "coulomb_nm=1.8e-3..2.2e-3",
+    ];
     json(&[&["set", "--port", &link, "--json"], &set[..]].concat());
     let got = json(&["get", "--port", &link, "--json"]);
-    assert!(got.to_string().contains("\"stiffness_nm_rad\":0.5"), "{got}");
+    assert!(
+        got.to_string().contains("\"stiffness_nm_rad\":0.5"),
+        "{got}"
+    );
     json(&["arm", "--port", &link, "--json"]);
-    json(&["log", "--seconds", "1", "--out", &log, "--port", &link, "--json"]);
+    json(&[
+        "log",
+        "--seconds",
+        "1",
+        "--out",
+        &log,
+        "--port",
+        &link,
+        "--json",
+    ]);
     let rows = fs::read_to_string(&log).unwrap();
     assert!(rows.lines().count() > 500, "{} rows", rows.lines().count());
     // Without a gap: 1 kHz over the emulator's line.
-    let ticks: Vec<u64> = rows.lines().skip(1).map(|row| row.split(',').next().unwrap().parse().unwrap()).collect();
+    let ticks: Vec<u64> = rows
+        .lines()
+        .skip(1)
+        .map(|row| row.split(',').next().unwrap().parse().unwrap())
+        .collect();
     assert!(ticks.windows(2).all(|pair| pair[1] == pair[0] + 1));
 
     let refused = run(&["set", "sample_period_s=2e-3", "--port", &link]);
@@ -139,15 +171,28 @@ fn the_demo_tells_what_the_paper_says() {
     assert!((number("clamped_spring", "stiffness_applied_nm_rad") - 0.018).abs() < 1e-5);
     assert_eq!(demo["coarse_raw"]["at_rest"], false);
     assert_eq!(demo["coarse_clamped"]["at_rest"], true);
-    assert!(demo["refused"].as_str().unwrap().contains("sample_period_s is 0.05"));
+    assert!(
+        demo["refused"]
+            .as_str()
+            .unwrap()
+            .contains("sample_period_s is 0.05")
+    );
     for chart in ["hit.svg", "coarse.svg"] {
-        assert!(fs::read_to_string(out.join(chart)).unwrap().trim_end().ends_with("</svg>"));
+        assert!(
+            fs::read_to_string(out.join(chart))
+                .unwrap()
+                .trim_end()
+                .ends_with("</svg>")
+        );
     }
 }
 
 #[test]
 fn an_image_that_is_none_is_refused() {
-    for (image, words) in [("nowhere.elf", "cargo xtask firmware"), ("Cargo.toml", "--firmware")] {
+    for (image, words) in [
+        ("nowhere.elf", "cargo xtask firmware"),
+        ("Cargo.toml", "--firmware"),
+    ] {
         let output = run(&["demo", "--firmware", image]);
         assert_eq!(output.status.code(), Some(1));
         let said = String::from_utf8_lossy(&output.stderr);

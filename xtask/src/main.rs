@@ -95,7 +95,12 @@ fn demo(hold: bool, json: bool) -> Result<()> {
 fn test() -> Result<()> {
     tools::program("qemu-system-arm", &["qemu-system-arm"])?;
     firmware::build()?;
-    run(cargo().args(["test", "--workspace", "--features", "acceptance/emulator"]))
+    run(cargo().args([
+        "test",
+        "--workspace",
+        "--features",
+        "acceptance/emulator,host-cli/emulator",
+    ]))
 }
 
 fn size() -> Result<()> {
@@ -125,7 +130,7 @@ fn check() -> Result<()> {
         "--workspace",
         "--all-targets",
         "--features",
-        "acceptance/emulator",
+        "acceptance/emulator,host-cli/emulator",
     ];
     run(cargo()
         .arg("clippy")
