@@ -90,7 +90,7 @@ pub fn unstable(swept: &Swept) -> Result<String> {
             swept.map.point(0).0.mu
         );
         let mut plane = Plane::new(&chart, &title, 0.0..1.0, 0.0..1.0)?;
-        let shades = overlay(swept, |classes| Rule::Window.of(classes) == Class::Unstable);
+        let shades = overlay(swept, |classes| Rule::Window.of(classes) == Class::Unstable)?;
         plane.fill(shades)?;
         plane.borders()?;
         for v0 in swept.map.v0() {
@@ -115,7 +115,7 @@ pub fn oscillating(swept: &Swept) -> Result<String> {
             let mut plane = Plane::new(area, &title, 0.0..1.0, 0.0..1.0)?;
             plane.fill(overlay(swept, |classes| {
                 rule.of(classes) == Class::LimitCycle
-            }))?;
+            })?)?;
             plane.borders()?;
             for v0 in swept.map.v0() {
                 plane.critical_line(*v0, RED)?;
@@ -132,12 +132,12 @@ fn shade(panel: usize, panels: usize) -> RGBAColor {
 }
 
 /// Rectangles of all panels, the last panel first, so that the first lies on top.
-fn overlay(swept: &Swept, shown: impl Fn(Classes) -> bool) -> Vec<Filled> {
+fn overlay(swept: &Swept, shown: impl Fn(Classes) -> bool) -> Result<Vec<Filled>> {
     let panels = swept.v0.len();
     let painted = rectangles(swept, |classes, panel| {
         shown(classes).then(|| shade(panel, panels))
-    });
-    painted.into_iter().rev().flatten().collect()
+    })?;
+    Ok(painted.into_iter().rev().flatten().collect())
 }
 
 fn key(area: &Area<'_>, swept: &Swept, what: &str, describing: bool) -> Result<()> {

@@ -7,9 +7,10 @@ use plotters::prelude::*;
 use super::plane::Plane;
 use super::style::{
     Area, BLUE, FAINT, GREEN, GREY, LABEL, ORANGE, PURPLE, RED, SMALL, TITLE, clip, letters, page,
-    short, trouble,
+    trouble,
 };
 use crate::commands::plan::describing_function_stiffness;
+use crate::number::short;
 
 /// Speeds shown, rad/s.
 const SPEED: std::ops::Range<f64> = 0.1..100.0;
@@ -49,7 +50,7 @@ impl<'a> PlanChart<'a> {
             .map(|v| (v, criterion.largest_stiffness_at(v).min(coulomb)))
             .collect();
         let growing: Vec<_> = speeds
-            .map(|v| (v, describing_function_stiffness(criterion, v)))
+            .filter_map(|v| Some((v, describing_function_stiffness(criterion, v)?)))
             .collect();
         let shown = [viscous, coulomb, self.wanted.unwrap_or(coulomb)]
             .into_iter()

@@ -9,6 +9,7 @@ use std::ops::Range;
 use super::style::{
     Area, BLUE, GREEN, GREY, LABEL, ORANGE, RED, SMALL, TITLE, clip, letters, trouble,
 };
+use crate::stop;
 
 /// A chart over (β, σ).
 pub struct Plane<'a> {
@@ -48,9 +49,10 @@ impl<'a> Plane<'a> {
     ) -> Result<()> {
         let shapes = rectangles
             .into_iter()
+            .take_while(|_| !stop::requested())
             .map(|(corners, colour)| Rectangle::new(corners, colour.filled()));
         self.chart.draw_series(shapes).map_err(trouble)?;
-        Ok(())
+        Ok(stop::check()?)
     }
 
     /// The four regions of Fig. 3 in faint colours.

@@ -10,9 +10,8 @@ use plant_sim::outcome::Class;
 use plotters::prelude::*;
 
 use super::plane::Plane;
-use super::style::{
-    Area, BLUE, FAINT, GREY, LABEL, PURPLE, SMALL, TITLE, letters, page, short, trouble,
-};
+use super::style::{Area, BLUE, FAINT, GREY, LABEL, PURPLE, SMALL, TITLE, letters, page, trouble};
+use crate::number::short;
 
 /// The smallest and the largest of a quantity over stretches of time: as many as a picture
 /// can show, however long the run.
@@ -95,7 +94,7 @@ pub struct RunChart<'a> {
     verdict: String,
     class: Class,
     point: Dimensionless<f64>,
-    /// Initial speed, counts per sample.
+    /// The speed that the start can turn into, counts per sample.
     speed: f64,
     zero_rad: f64,
     count_rad: f64,
@@ -118,9 +117,8 @@ impl<'a> RunChart<'a> {
             Region::LimitCycle => "(c), limit cycles",
             Region::LocallyPassive => "(d), passive while slow",
         };
-        let holds = if criterion.power_margin_nm(report.max_stiffness_nm_rad, scene.start.velocity)
-            >= 0.0
-        {
+        let speed_rad_s = scene.reachable_speed_rad_s(report.max_stiffness_nm_rad);
+        let holds = if criterion.power_margin_nm(report.max_stiffness_nm_rad, speed_rad_s) >= 0.0 {
             "holds"
         } else {
             "does not hold"
@@ -142,7 +140,7 @@ impl<'a> RunChart<'a> {
             verdict: format!("region {region}; (10) {holds} at the start; outcome: {class}"),
             class: report.class,
             point,
-            speed: scene.start.velocity * config.period_s / count_rad,
+            speed: speed_rad_s * config.period_s / count_rad,
             zero_rad: config.zero_rad,
             count_rad,
             envelope,

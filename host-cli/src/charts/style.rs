@@ -75,26 +75,6 @@ pub fn clip(
     ])
 }
 
-/// A number in few letters: 0.018, 12.3, 4.1e-6.
-pub fn short(number: f64) -> String {
-    let size = number.abs();
-    // Below what any axis here resolves: what is left of a zero after rounding.
-    if size < 1e-12 {
-        return "0".into();
-    }
-    let text = if (1e-3..1e5).contains(&size) {
-        let decimals = (2 - size.log10().floor() as i32).clamp(0, 6);
-        format!("{number:.*}", decimals as usize)
-    } else {
-        return format!("{number:.2e}");
-    };
-    if text.contains('.') {
-        text.trim_end_matches('0').trim_end_matches('.').to_owned()
-    } else {
-        text
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -107,17 +87,5 @@ mod tests {
         assert_eq!(cut((0.2, 0.2), (0.4, 0.8)), Some([(0.2, 0.2), (0.4, 0.8)]));
         assert_eq!(cut((2.0, 0.0), (3.0, 1.0)), None);
         assert_eq!(cut((0.0, 2.0), (1.0, 2.0)), None);
-    }
-
-    #[test]
-    fn numbers_are_short() {
-        let all = [0.0, 0.018, 1.0, 12.345, 5.2154, 8192.0, 4.1e-6, -0.25];
-        let texts = all.map(short);
-        assert_eq!(
-            texts,
-            [
-                "0", "0.018", "1", "12.3", "5.22", "8192", "4.10e-6", "-0.25"
-            ]
-        );
     }
 }
