@@ -758,6 +758,15 @@ fn the_figures_are_all_drawn() {
         assert!(svg.trim_end().ends_with("</svg>"), "{name}");
         assert!(!svg.contains("NaN") && !svg.contains("inf\""), "{name}");
     }
+    for name in ["fig5a", "fig5b"] {
+        let shown = texts(&fs::read_to_string(out.join(format!("{name}.svg"))).unwrap());
+        for v0 in ["2", "10", "100"] {
+            assert!(
+                shown.iter().any(|text| text == v0),
+                "{name} {v0}: {shown:?}"
+            );
+        }
+    }
     // Any one that exists is found before the work, and nothing is written.
     for name in ["fig3", "fig4", "fig5a", "fig5b", "fig5-panels", "fig6b"] {
         fs::remove_file(out.join(format!("{name}.svg"))).unwrap();
@@ -1246,4 +1255,120 @@ fn a_second_ctrl_c_ends_at_once_what_cannot_be_stopped() {
     }
     child.kill().unwrap();
     panic!("it went on");
+}
+
+/// The texts of a chart of one run of [`SCENE`], changed, each as it stands in the SVG.
+fn plotted(changes: &[(&str, &str)]) -> Vec<String> {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let mut text = SCENE.to_owned();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from}");
+        text = text.replacen(from, to, 1);
+    }
+    fs::write(at("scene.toml"), text).unwrap();
+    json(&[
+        "simulate",
+        &at("scene.toml"),
+        "--json",
+        "--plot",
+        &at("run.svg"),
+    ]);
+    texts(&fs::read_to_string(at("run.svg")).unwrap())
+}
+
+fn texts(svg: &str) -> Vec<String> {
+    let parts = svg
+        .split("</text>")
+        .filter_map(|part| part.rsplit('>').next());
+    parts.map(|text| text.trim().to_owned()).collect()
+}
+
+/// The labels of one axis: no two read the same.
+fn distinct<'a>(labels: impl Iterator<Item = &'a String>) {
+    let mut labels: Vec<&String> = labels.collect();
+    let all = labels.len();
+    assert!(all > 3, "{labels:?}");
+    labels.sort();
+    labels.dedup();
+    assert_eq!(labels.len(), all, "{labels:?}");
+}
+
+#[test]
+fn charts_of_runs_say_where_the_point_the_wall_and_the_digits_are() {
+    let has = |texts: &[String], words: &str| texts.iter().any(|text| text.contains(words));
+    // σ = 2.6 lies in the plane, 145 does not.
+    let near = plotted(&[]);
+    assert!(
+        has(&near, "(0.009, 2.61)") && !has(&near, "off the chart"),
+        "{near:?}"
+    );
+    assert!(!has(&near, "wall"), "{near:?}");
+    let stiff = plotted(&[("nm_rad = 1.0", "nm_rad = 0.018")]);
+    assert!(has(&stiff, "(0.5, 145), off the chart"), "{stiff:?}");
+    let wall = plotted(&[("\"spring\"", "\"wall\"")]);
+    assert!(has(&wall, "edge of the wall"), "{wall:?}");
+    // Far from zero, and long after the start.
+    let far = plotted(&[
+        ("nm_rad = 1.0", "nm_rad = 1.0\ncentre_rad = 100.0"),
+        ("angle_rad = 0.0", "angle_rad = 99.999"),
+    ]);
+    distinct(
+        far.iter()
+            .filter(|text| text.starts_with("100.") || text.starts_with("99.")),
+    );
+    let long = plotted(&[
+        ("samples = 200", "samples = 20000"),
+        ("8192", "20"),
+        ("nm_rad = 1.0", "nm_rad = 0.015"),
+    ]);
+    assert!(has(&long, "time before the end, ms"), "{long:?}");
+    assert!(has(&long, "-20") && has(&long, "-40"), "{long:?}");
+}
+
+#[test]
+fn charts_of_maps_and_plans_name_what_they_show() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let out = at("map");
+    let args = "map --mu 50 --v0 10 --grid 4 --samples 10 --out";
+    assert!(
+        run(&args.split(' ').chain([out.as_str()]).collect::<Vec<_>>())
+            .status
+            .success()
+    );
+    let shown = texts(&fs::read_to_string(at("map.svg")).unwrap());
+    for letter in ["a", "b", "c", "d"] {
+        assert!(
+            shown.iter().any(|text| text == letter),
+            "{letter}: {shown:?}"
+        );
+    }
+    // Without a wanted stiffness the device still stands among the regions.
+    assert!(run(&["plan", "--plot", &at("plan.svg")]).status.success());
+    let shown = texts(&fs::read_to_string(at("plan.svg")).unwrap());
+    for words in [
+        "(0.5, 145)",
+        "twice K",
+        "half T",
+        "a",
+        "b",
+        "c",
+        "d",
+        "1000",
+    ] {
+        assert!(shown.iter().any(|text| text == words), "{words}: {shown:?}");
+    }
+    fs::write(at("dry.toml"), SCENE.replace("9e-6", "0.0")).unwrap();
+    assert!(
+        run(&["plan", &at("dry.toml"), "--plot", &at("dry.svg")])
+            .status
+            .success()
+    );
+    let shown = texts(&fs::read_to_string(at("dry.svg")).unwrap());
+    assert!(
+        shown.iter().any(|text| text.contains("2b/T or 2c/Δ is 0")),
+        "{shown:?}"
+    );
+    assert!(!shown.iter().any(|text| text == "twice K"), "{shown:?}");
 }

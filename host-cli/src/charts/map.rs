@@ -6,7 +6,7 @@ use plant_sim::outcome::Class;
 use plotters::prelude::*;
 
 use super::plane::Plane;
-use super::style::{Area, BLUE, GREY, LABEL, RED, SKY, SMALL, letters, page, trouble};
+use super::style::{Area, BLUE, GREY, LABEL, RED, SKY, SMALL, letters, line_sample, page, trouble};
 use crate::commands::map::Swept;
 use crate::stop;
 
@@ -27,7 +27,7 @@ pub fn panels(swept: &Swept) -> Result<String> {
     let count = swept.v0.len();
     let columns = (count as f64).sqrt().ceil() as usize;
     let rows = count.div_ceil(columns);
-    let width = (PANEL.0 * columns as u32).max(640);
+    let width = (PANEL.0 * columns as u32).max(780);
     let size = (width, PANEL.1 * rows as u32 + 74);
     page(size, |page| {
         let (charts, legend) = page.split_vertically(size.1 - 74);
@@ -48,6 +48,7 @@ fn draw_panel(swept: &Swept, panel: usize, area: &Area<'_>, cells: Vec<Filled>) 
     let mut plane = Plane::new(area, &title, range(map.beta()), range(map.sigma()))?;
     plane.fill(cells)?;
     plane.borders()?;
+    plane.region_letters(BLACK)?;
     plane.critical_line(v0, BLACK)?;
     if v0 != 0.0 {
         plane.describing_function_line(v0, BLUE)?;
@@ -118,16 +119,7 @@ fn draw_legend(swept: &Swept, area: &Area<'_>) -> Result<()> {
         (true, BLACK, "critical line (9)"),
         (false, BLUE, "describing function"),
     ] {
-        let pieces = if dashed {
-            [(0, 9), (14, 23), (28, 37)]
-        } else {
-            [(0, 13), (13, 26), (26, 37)]
-        };
-        for (from, to) in pieces {
-            let ends = [(x + from, y + 8), (x + to, y + 8)];
-            area.draw(&PathElement::new(ends, colour.stroke_width(2)))
-                .map_err(trouble)?;
-        }
+        line_sample(area, (x, y + 8), colour, dashed)?;
         area.draw_text(text, &letters(LABEL, BLACK), (x + 45, y))
             .map_err(trouble)?;
         x += 62 + 7 * text.len() as i32;

@@ -325,6 +325,7 @@ fn fits(shard: Shard, map: &Map) -> Result<(), String> {
 fn merge(paths: &[PathBuf]) -> Result<(Plan, Vec<Classes>)> {
     let mut whole: Option<(Plan, usize, Vec<Option<Classes>>)> = None;
     for path in paths {
+        stop::check()?;
         let place = || format!("--merge: {}", path.display());
         let text = std::fs::read_to_string(path).with_context(place)?;
         let part: Part = serde_json::from_str(&text).with_context(place)?;

@@ -381,13 +381,15 @@ impl Wanted {
             )?,
         }
         let every = &self.every_speed;
+        let period = every.sample_period_s_at_most;
+        let counts = every.counts_per_rev_at_least.map(f64::ceil);
         writeln!(
             f,
-            "  for every speed:  T ≤ {} s or b ≥ {} Nm s/rad;  and  {} counts/rev or more, or c ≥ {} Nm",
-            answer(every.sample_period_s_at_most),
-            short(every.viscous_nm_s_rad_at_least),
-            answer(every.counts_per_rev_at_least.map(f64::ceil)),
-            short(every.coulomb_nm_at_least)
+            "  for every speed:  {}b ≥ {} Nm s/rad;  and  {}c ≥ {} Nm",
+            period.map_or(String::new(), |t| format!("T ≤ {} s or ", digits(t, 4))),
+            digits(every.viscous_nm_s_rad_at_least, 4),
+            counts.map_or(String::new(), |n| format!("{n} counts/rev or more, or ")),
+            digits(every.coulomb_nm_at_least, 4)
         )?;
         writeln!(
             f,
