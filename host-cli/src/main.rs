@@ -80,7 +80,7 @@ fn main() -> ExitCode {
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) if error.is::<stop::Stopped>() => {
+        Err(error) if error.is::<stop::Stopped>() || error.is::<stop::Ended>() => {
             eprintln!("{error:#}");
             ExitCode::from(130)
         }

@@ -17,6 +17,8 @@ use plant_sim::hold::State;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
+use crate::number::digits;
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SceneFile {
@@ -77,8 +79,12 @@ impl Belief {
             Some(Self::Exactly(value)) => [value; 2],
             Some(Self::Between(ends)) => ends,
         };
-        if !(0.0 <= low && low <= high && high.is_finite()) {
-            bail!("{key} is [{low}, {high}]; accepted: finite, 0 or more, the lower end first");
+        if !(0.0 <= low && low <= high && high <= MOST) {
+            bail!(
+                "{key} is [{}, {}]; accepted: finite, 0 or more, up to {MOST:e}, the lower end first",
+                plain(low),
+                plain(high)
+            );
         }
         Ok(Interval { low, high })
     }
@@ -119,11 +125,11 @@ struct StartTable {
 }
 
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 struct RunTable {
     samples: u64,
     /// Taken, so that a file with a seed can be run; nothing here is random.
-    #[serde(default, rename = "seed")]
+    #[serde(rename = "seed")]
     _seed: u64,
 }
 
@@ -219,6 +225,14 @@ pub fn parse(text: &str) -> Result<Scene> {
     };
     let zero_rad = zero.unwrap_or(0.0);
     finite(zero_key, zero_rad)?;
+    let furthest_rad = sampled.count_rad() * f64::from(1_u32 << 30);
+    if zero_rad.abs() >= furthest_rad {
+        bail!(
+            "{zero_key} is {}, 2^30 counts or more from zero; accepted: less than {} rad either way",
+            plain(zero_rad),
+            digits(furthest_rad, 6)
+        );
+    }
     finite("start.angle_rad", file.start.angle_rad)?;
     finite("start.velocity_rad_s", file.start.velocity_rad_s)?;
     if file.run.samples == 0 {
@@ -238,6 +252,12 @@ pub fn parse(text: &str) -> Result<Scene> {
         )?,
         coulomb_nm: Belief::interval("believed.coulomb_nm", told.coulomb_nm, device.coulomb_nm)?,
     };
+    positive("believed.inertia_kg_m2", believed.inertia_kg_m2.low)?;
+    let torque_max_nm = file.sampling.torque_max_nm;
+    if !(0.0..=unlimited()).contains(&torque_max_nm) {
+        let accepted = "0 or more, up to 3.4e38; without the key there is no limit";
+        return Err(refuse("loop.torque_max_nm", torque_max_nm, accepted));
+    }
     let scene = Scene {
         device: sampled.device,
         config: Config {
@@ -253,7 +273,7 @@ pub fn parse(text: &str) -> Result<Scene> {
                 LawName::Static => Law::Static,
                 LawName::Episode => Law::Episode,
             },
-            torque_max_nm: not_negative("loop.torque_max_nm", file.sampling.torque_max_nm)?,
+            torque_max_nm,
         },
         start: State {
             position: file.start.angle_rad,
@@ -294,8 +314,22 @@ fn sampled_device(device: &DeviceTable, sampling: &LoopTable) -> Result<SampledD
     })
 }
 
+/// The smallest and the largest quantity of a device or a spring: the controller computes
+/// in f32, which must hold them and their ratios.
+const LEAST: f64 = 1e-15;
+const MOST: f64 = 1e15;
+
+/// A number as a user would write it.
+fn plain(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() || (1e-6..1e16).contains(&value.abs()) {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
+}
+
 fn refuse(key: &str, value: f64, accepted: &str) -> anyhow::Error {
-    anyhow!("{key} is {value}; accepted: {accepted}")
+    anyhow!("{key} is {}; accepted: {accepted}", plain(value))
 }
 
 fn finite(key: &str, value: f64) -> Result<f64> {
@@ -307,17 +341,19 @@ fn finite(key: &str, value: f64) -> Result<f64> {
 }
 
 fn positive(key: &str, value: f64) -> Result<f64> {
-    if value.is_finite() && value > 0.0 {
+    if (LEAST..=MOST).contains(&value) {
         Ok(value)
     } else {
-        Err(refuse(key, value, "a finite number above 0"))
+        let accepted = format!("a finite number above 0, from {LEAST:e} to {MOST:e}");
+        Err(refuse(key, value, &accepted))
     }
 }
 
 fn not_negative(key: &str, value: f64) -> Result<f64> {
-    if value.is_finite() && value >= 0.0 {
+    if (0.0..=MOST).contains(&value) {
         Ok(value)
     } else {
-        Err(refuse(key, value, "a finite number, 0 or more"))
+        let accepted = format!("a finite number, 0 or more, up to {MOST:e}");
+        Err(refuse(key, value, &accepted))
     }
 }

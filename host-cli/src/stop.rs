@@ -2,6 +2,8 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::output;
+
 static STOP: AtomicBool = AtomicBool::new(false);
 
 /// The user stopped the work; the process exits with 130.
@@ -9,16 +11,32 @@ static STOP: AtomicBool = AtomicBool::new(false);
 #[error("stopped; nothing was written")]
 pub struct Stopped;
 
+/// The user ended what ends no other way; the process exits with 130.
+#[derive(Debug, thiserror::Error)]
+#[error("ended")]
+pub struct Ended;
+
 /// Flags that do not go together or make no sense; the process exits with 2.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct Usage(pub String);
 
-/// From now on Ctrl-C (and a request to terminate) sets the flag instead of killing.
+/// From now on Ctrl-C (and a request to terminate) sets the flag instead of killing; a
+/// second one ends the process at once.
 pub fn listen() {
     // Where no handler can be set, Ctrl-C kills as it always does; files stay whole
     // all the same, since they are renamed into place.
-    let _ = ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed));
+    let _ = ctrlc::set_handler(|| {
+        if STOP.swap(true, Ordering::Relaxed) {
+            output::remove_drafts();
+            std::process::exit(130);
+        }
+    });
+}
+
+/// An error if the user asked to stop.
+pub fn check() -> Result<(), Stopped> {
+    if requested() { Err(Stopped) } else { Ok(()) }
 }
 
 /// Whether the user asked to stop.

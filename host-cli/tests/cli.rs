@@ -205,7 +205,13 @@ fn flags_that_make_no_sense_are_refused_with_what_would_do() {
         ),
         ("--mu", "0", vec!["--mu", "0 is not above 0"]),
         ("--mu", "-50", vec!["--mu", "-50", "above 0"]),
-        ("--mu", "1e-320", vec!["--mu", "inf"]),
+        (
+            "--mu",
+            "1e-320",
+            vec!["--mu", "1e-320", "from 1e-100 to 1e100"],
+        ),
+        ("--mu", "1e-300", vec!["--mu", "1e-100"]),
+        ("--beta", "1e300", vec!["--beta", "1e300", "up to 1e100"]),
         (
             "--beta",
             "-0.1",
@@ -275,9 +281,18 @@ fn flags_that_make_no_sense_are_refused_with_what_would_do() {
         ("--v0", "2,nan", vec!["--v0", "nan"]),
         ("--v0", "2,,3", vec!["--v0", "not a number"]),
         ("--v0", "2,2", vec!["--v0", "given twice"]),
-        ("--v0", "2e9", vec!["2000000000", "1e9 counts per sample"]),
+        (
+            "--v0",
+            "2e9",
+            vec!["--v0", "2000000000", "1e9 counts per sample"],
+        ),
         ("--grid", "0", vec!["--grid", "1 or more"]),
-        ("--grid", "10001", vec!["grid of 10001", "1 to 10000"]),
+        (
+            "--grid",
+            "10001",
+            vec!["--grid", "grid of 10001", "1 to 10000"],
+        ),
+        ("--mu", "1e-320", vec!["--mu", "1e-320", "1e-100"]),
         ("--samples", "0", vec!["--samples", "1 or more"]),
         ("--rule", "best", vec!["--rule", "best", "window", "paper"]),
         ("--beta", "1..0", vec!["--beta", "1..0", "A..B"]),
@@ -286,6 +301,11 @@ fn flags_that_make_no_sense_are_refused_with_what_would_do() {
         ("--sigma", "0..inf", vec!["--sigma", "inf"]),
         ("--shard", "0/4", vec!["--shard", "0/4", "1 ≤ I ≤ N"]),
         ("--shard", "5/4", vec!["--shard", "5/4"]),
+        (
+            "--shard",
+            "1/10000000000000",
+            vec!["--shard", "16 cells", "up to 16"],
+        ),
         ("--shard", "1/4", vec!["--shard", "--out NAME or --json"]),
     ] {
         refused(&map(flag, value), 2, &parts);
@@ -368,6 +388,26 @@ fn scene_files_that_make_no_sense_are_refused_with_file_key_and_value() {
     );
     change("1e-3\n", "0.0\n", &["loop.sample_period_s is 0", "above 0"]);
     change("1e-3\n", "-1e-3\n", &["loop.sample_period_s is -0.001"]);
+    // What an f32 takes for nothing or for infinite.
+    change(
+        "1e-3\n",
+        "1e-300\n",
+        &["loop.sample_period_s is 1e-300", "from 1e-15 to 1e15"],
+    );
+    change("6.28e-6", "1e-60", &["device.inertia_kg_m2 is 1e-60"]);
+    change("2e-3", "1e60", &["device.coulomb_nm is 1e60", "up to 1e15"]);
+    change("8192", "1e300", &["device.counts_per_rev is 1e300"]);
+    change("1.0\n", "1e39\n", &["render.stiffness_nm_rad is 1e39"]);
+    change(
+        "decimation = 1",
+        "torque_max_nm = 1e39",
+        &["loop.torque_max_nm is 1e39", "3.4e38"],
+    );
+    change(
+        "[start]",
+        "[believed]\ninertia_kg_m2 = 0\n[start]",
+        &["believed.inertia_kg_m2 is 0", "above 0"],
+    );
     change(
         "decimation = 1",
         "decimation = 0",
@@ -418,7 +458,7 @@ fn scene_files_that_make_no_sense_are_refused_with_file_key_and_value() {
     change(
         "1.0\n",
         "1.0\ncentre_rad = 1e12\n",
-        &["1000000000000", "counts"],
+        &["render.centre_rad is 1000000000000", "counts", "accepted"],
     );
     change(
         "angle_rad = 0.0",
@@ -428,7 +468,7 @@ fn scene_files_that_make_no_sense_are_refused_with_file_key_and_value() {
     change(
         "angle_rad = 0.0",
         "angle_rad = 1e9",
-        &["start angle 1000000000 rad", "accepted"],
+        &["start.angle_rad is 1000000000", "accepted"],
     );
     change(
         "velocity_rad_s = 3.0",
@@ -438,7 +478,7 @@ fn scene_files_that_make_no_sense_are_refused_with_file_key_and_value() {
     change(
         "velocity_rad_s = 3.0",
         "velocity_rad_s = 1e12",
-        &["start velocity 1000000000000 rad/s"],
+        &["start.velocity_rad_s is 1000000000000"],
     );
     change("samples = 200", "samples = 0", &["run.samples is 0"]);
     change("samples = 200", "samples = -1", &["samples"]);
@@ -718,11 +758,38 @@ fn the_figures_are_all_drawn() {
         assert!(svg.trim_end().ends_with("</svg>"), "{name}");
         assert!(!svg.contains("NaN") && !svg.contains("inf\""), "{name}");
     }
+    for name in ["fig5a", "fig5b"] {
+        let shown = texts(&fs::read_to_string(out.join(format!("{name}.svg"))).unwrap());
+        for v0 in ["2", "10", "100"] {
+            assert!(
+                shown.iter().any(|text| text == v0),
+                "{name} {v0}: {shown:?}"
+            );
+        }
+    }
+    // Any one that exists is found before the work, and nothing is written.
+    for name in ["fig3", "fig4", "fig5a", "fig5b", "fig5-panels", "fig6b"] {
+        fs::remove_file(out.join(format!("{name}.svg"))).unwrap();
+    }
     refused(
         &["figures", "--out", out.to_str().unwrap()],
         1,
-        &["fig3.svg", "--force"],
+        &["fig6a.svg", "--force"],
     );
+    assert!(!out.join("fig3.svg").exists());
+    let list = json(&[
+        "figures",
+        "--json",
+        "--force",
+        "--out",
+        out.to_str().unwrap(),
+    ]);
+    let list = list["figures"].as_array().unwrap();
+    assert_eq!(list.len(), 9);
+    for figure in list {
+        assert!(Path::new(figure["file"].as_str().unwrap()).is_file());
+        assert!(figure["shows"].is_string());
+    }
 }
 
 #[test]
@@ -825,4 +892,483 @@ fn ctrl_c_stops_long_work_within_a_second_and_leaves_nothing() {
             .collect();
         assert_eq!(left, ["long.toml"], "{args:?} left something behind");
     }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_reader_that_goes_away_is_no_failure_and_a_full_disk_is_one() {
+    let scene = repository().join("scenes/fig6c.toml");
+    let scene = scene.to_str().unwrap();
+    let display = "simulate --mu 50 --beta 0.3 --sigma 0.7 --v0 10 --samples 9";
+    let map = "map --mu 50 --v0 2 --grid 4 --samples 10";
+    let mut all: Vec<Vec<&str>> = ["plan --stiffness 1", "plan --json", display, map]
+        .map(|line| line.split(' ').collect())
+        .into();
+    all.push([&all[2][..], &["--json"]].concat());
+    all.push([&all[3][..], &["--json"]].concat());
+    all.push(vec!["simulate", scene]);
+    for args in all {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let gone = knob().args(&args).stdout(writer).output().unwrap();
+        let said = String::from_utf8_lossy(&gone.stderr);
+        assert_eq!(gone.status.code(), Some(0), "{args:?}: {said}");
+        if cfg!(target_os = "linux") {
+            let full = fs::File::options().write(true).open("/dev/full").unwrap();
+            let full = knob().args(&args).stdout(full).output().unwrap();
+            let said = String::from_utf8_lossy(&full.stderr);
+            assert_eq!(full.status.code(), Some(1), "{args:?}: {said}");
+            assert!(said.contains("standard output"), "{args:?}: {said}");
+        }
+    }
+}
+
+const DISPLAY: [&str; 9] = [
+    "simulate",
+    "--mu",
+    "50",
+    "--beta",
+    "0.3",
+    "--sigma",
+    "0.7",
+    "--samples",
+    "9",
+];
+
+#[test]
+fn the_dimensionless_display_has_neither_trace_nor_plot() {
+    for flag in ["--trace", "--plot"] {
+        let args = [&DISPLAY[..], &["--v0", "10", flag, "nowhere/out"]].concat();
+        refused(&args, 2, &[flag, "nowhere/out", "scene file"]);
+    }
+}
+
+#[test]
+fn a_display_that_diverges_is_followed_to_the_last_sample() {
+    let args = "simulate --mu 50 --beta 0.1 --sigma 0.1 --v0 9 --samples 20000 --json";
+    let out = json(&args.split(' ').collect::<Vec<_>>());
+    assert_eq!(
+        (&out["samples"], &out["class"]),
+        (&20_000.into(), &"unstable".into())
+    );
+    assert!(
+        out["xi"]
+            .as_f64()
+            .unwrap()
+            .abs()
+            .max(out["v"].as_f64().unwrap().abs())
+            > 1e9
+    );
+    // Where no f64 holds it, the last that does.
+    let args = "simulate --mu 0.1 --beta 0 --sigma 0 --v0 9 --samples 99999 --json";
+    let out = json(&args.split(' ').collect::<Vec<_>>());
+    assert_eq!(out["class"], "unstable");
+    for key in [
+        "xi",
+        "v",
+        "energy_generated",
+        "energy_dissipated",
+        "energy_given_out",
+    ] {
+        assert!(out[key].is_number(), "{key}: {out}");
+    }
+}
+
+#[test]
+fn a_start_under_load_is_judged_by_the_speed_it_can_turn_into() {
+    let args =
+        "simulate --mu 0.2428 --beta 0.0199 --sigma 0.6607 --v0 0.328 --samples 50000 --json --xi0";
+    let from = |xi0| json(&args.split(' ').chain([xi0]).collect::<Vec<_>>());
+    assert_eq!(from("0")["criterion_holds_at_start"], true);
+    let loaded = from("0.994");
+    assert_eq!(loaded["criterion_holds_at_start"], false);
+    assert_eq!(loaded["class"], "unstable");
+
+    // A spring that is held away from its zero, and a wall from outside and inside.
+    let folder = TempDir::new().unwrap();
+    let (file, plot) = (
+        folder.path().join("scene.toml"),
+        folder.path().join("out.svg"),
+    );
+    for (shape, angle, holds) in [
+        ("\"spring\"", "0.0", true),
+        ("\"spring\"", "-0.3", false),
+        ("\"wall\"", "-0.3", true),
+        ("\"wall\"", "0.3", false),
+    ] {
+        let text = SCENE
+            .replace("\"spring\"", shape)
+            .replace("angle_rad = 0.0", &format!("angle_rad = {angle}"));
+        fs::write(&file, text).unwrap();
+        let (file, plot) = (file.to_str().unwrap(), plot.to_str().unwrap());
+        let out = json(&["simulate", file, "--json", "--force", "--plot", plot]);
+        assert_eq!(out["criterion_holds_at_start"], holds, "{shape} {angle}");
+        let words = if holds {
+            "(10) holds"
+        } else {
+            "(10) does not hold"
+        };
+        assert!(
+            fs::read_to_string(plot).unwrap().contains(words),
+            "{shape} {angle}"
+        );
+    }
+}
+
+#[test]
+fn a_part_of_more_parts_than_cells_is_refused() {
+    let folder = TempDir::new().unwrap();
+    let part = folder.path().join("part.json");
+    let text = r#"{"shard":[2,10000000000000],"map":{"mu":50.0,"samples":10,"grid":1,"beta":[0.0,1.0],"sigma":[0.0,1.0],"v0":["2"]},"window":"","paper":""}"#;
+    fs::write(&part, text).unwrap();
+    let path = part.to_str().unwrap();
+    refused(
+        &["map", "--merge", path],
+        1,
+        &["part.json", "1 cells", "accepted"],
+    );
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn an_output_that_cannot_be_is_refused_before_the_work() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    // Work without an end: only a refusal before it returns.
+    let map: Vec<&str> = "map --mu 50 --v0 2 --grid 300 --samples 1000000000000 --out /proc/map"
+        .split(' ')
+        .collect();
+    refused(&map, 1, &["--out: /proc/map.svg cannot be written"]);
+    let said = run(&map).stderr;
+    assert!(!String::from_utf8_lossy(&said).contains(".knob-"));
+
+    let pipe = at("pipe");
+    assert!(
+        Command::new("mkfifo")
+            .arg(&pipe)
+            .status()
+            .unwrap()
+            .success()
+    );
+    for odd in [pipe.as_str(), "/dev/null"] {
+        refused(
+            &["plan", "--plot", odd, "--force"],
+            1,
+            &["--plot", odd, "no ordinary file"],
+        );
+    }
+    let scene = at("scene.toml");
+    fs::write(&scene, SCENE).unwrap();
+    std::os::unix::fs::symlink(&scene, at("link")).unwrap();
+    for args in [
+        vec!["--trace", &scene, "--force"],
+        vec!["--plot", &at("link"), "--force"],
+        vec!["--trace", &at("out"), "--plot", &at("./out")],
+    ] {
+        refused(
+            &[&["simulate", scene.as_str()], &args[..]].concat(),
+            2,
+            &["the same file as"],
+        );
+    }
+    refused(
+        &["plan", &scene, "--plot", &scene, "--force"],
+        2,
+        &["--plot", "device file"],
+    );
+    assert_eq!(fs::read_to_string(&scene).unwrap(), SCENE);
+    // Through a link the file is replaced, not the link.
+    let target = at("target.svg");
+    fs::write(&target, "old").unwrap();
+    std::os::unix::fs::symlink(&target, at("plot")).unwrap();
+    refused(&["plan", "--plot", &at("plot")], 1, &["--force"]);
+    assert!(
+        run(&["plan", "--plot", &at("plot"), "--force"])
+            .status
+            .success()
+    );
+    assert!(fs::read_to_string(&target).unwrap().starts_with("<svg"));
+    assert!(fs::symlink_metadata(at("plot")).unwrap().is_symlink());
+}
+
+#[test]
+fn a_plan_gives_no_answer_where_there_is_none() {
+    // Beyond 2c/Δ = 5.2 Nm/rad it never rests, whatever the viscous friction.
+    let plan = json(&["plan", "--stiffness", "5.3", "--json"]);
+    for row in plan["wanted"]["one_change"].as_array().unwrap() {
+        assert!(row["viscous_nm_s_rad_at_least"].is_null(), "{row}");
+        assert!(row["sample_period_s_at_most"].is_null(), "{row}");
+        assert!(row["coulomb_nm_at_least"].is_number(), "{row}");
+    }
+    // The describing function, where the oscillation is larger than a count.
+    for at in plan["at_speed"].as_array().unwrap() {
+        let fast = at["speed_rad_s"].as_f64().unwrap() >= 1.0;
+        assert_eq!(at["describing_function_nm_rad"].is_number(), fast, "{at}");
+    }
+    let folder = TempDir::new().unwrap();
+    let (file, plot) = (
+        folder.path().join("dry.toml"),
+        folder.path().join("plan.svg"),
+    );
+    for (viscous, coulomb) in [("0.0", "2e-3"), ("9e-6", "0.0"), ("0.0", "0.0")] {
+        let text = SCENE.replace("9e-6", viscous).replace("2e-3", coulomb);
+        fs::write(&file, text).unwrap();
+        let args = ["plan", file.to_str().unwrap(), "--stiffness", "1"];
+        let output = run(&[&args[..], &["--force", "--plot", plot.to_str().unwrap()]].concat());
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success());
+        assert!(
+            text.contains('–') && !text.contains("inf") && !text.contains("NaN"),
+            "{text}"
+        );
+        let wanted = &json(&[&args[..], &["--json"]].concat())["wanted"];
+        let every = &wanted["every_speed"];
+        assert_eq!(every["sample_period_s_at_most"].is_null(), viscous == "0.0");
+        assert_eq!(every["counts_per_rev_at_least"].is_null(), coulomb == "0.0");
+        for row in wanted["one_change"].as_array().unwrap() {
+            for key in ["sample_period_s_at_most", "counts_per_rev_at_least"] {
+                assert!(
+                    row[key].is_null() || row[key].as_f64().unwrap() > 0.0,
+                    "{row}"
+                );
+            }
+        }
+    }
+    // Few letters, and the file's name where it is at fault.
+    fs::write(&file, SCENE.replace("8192", "333.3333333333333")).unwrap();
+    let text = run(&["plan", file.to_str().unwrap()]).stdout;
+    let text = String::from_utf8(text).unwrap();
+    assert!(text.contains("333.333 counts/rev"), "{text}");
+}
+
+#[test]
+fn the_papers_rule_reads_the_last_sample_of_a_short_run_too() {
+    let args = "map --mu 50 --v0 10 --grid 8 --samples 500 --json --rule";
+    let map = |rule| json(&args.split(' ').chain([rule]).collect::<Vec<_>>());
+    let codes = |map: &Value, code: u64| {
+        let rows = map["classes"]["10"].as_array().unwrap();
+        let cells = rows.iter().flat_map(|row| row.as_array().unwrap());
+        cells.filter(|cell| **cell == code).count()
+    };
+    let (paper, window) = (map("paper"), map("window"));
+    assert_eq!(codes(&paper, 3), 0);
+    assert!(codes(&paper, 1) > 0 && codes(&window, 3) > 0);
+    let args = "simulate --mu 50 --beta 0.6 --sigma 0.3 --v0 10 --samples 500 --json";
+    let out = json(&args.split(' ').collect::<Vec<_>>());
+    assert_eq!(out["class"], "undecided");
+    assert_ne!(out["class_paper"], "undecided");
+}
+
+#[test]
+fn a_run_table_with_a_seed_alone_runs_as_long_as_one_without() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("scene.toml");
+    let run = |table: &str| {
+        fs::write(&file, SCENE.replace("samples = 200\nseed = 1\n", table)).unwrap();
+        json(&["simulate", file.to_str().unwrap(), "--json"])
+    };
+    assert_eq!(run("seed = 7\n"), run("samples = 50000\n"));
+}
+
+#[cfg(unix)]
+fn interrupt(child: &std::process::Child) {
+    let id = child.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args(["-INT", &id])
+            .status()
+            .unwrap()
+            .success()
+    );
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_is_heard_while_a_large_map_is_written() {
+    use std::io::{BufRead, BufReader};
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("map");
+    let mut child = knob()
+        .args([
+            "map",
+            "--mu",
+            "50",
+            "--v0",
+            "2",
+            "--grid",
+            "2000",
+            "--samples",
+            "1",
+        ])
+        .args(["--out", out.to_str().unwrap()])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // The sweep says when it is done.
+    let mut said = BufReader::new(child.stderr.take().unwrap()).lines();
+    assert!(said.any(|line| line.unwrap().contains("runs in")));
+    interrupt(&child);
+    assert!(said.any(|line| line.unwrap().contains("nothing was written")));
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    assert!(output.stdout.is_empty());
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_second_ctrl_c_ends_at_once_what_cannot_be_stopped() {
+    use std::io::Read;
+    // More than a pipe holds, which nobody reads: it waits in the midst of printing.
+    let mut child = knob()
+        .args([
+            "map",
+            "--mu",
+            "50",
+            "--v0",
+            "2",
+            "--grid",
+            "500",
+            "--samples",
+            "1",
+        ])
+        .arg("--json")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut first = [0];
+    child
+        .stdout
+        .as_mut()
+        .unwrap()
+        .read_exact(&mut first)
+        .unwrap();
+    for _ in 0..100 {
+        interrupt(&child);
+        std::thread::sleep(Duration::from_millis(50));
+        if let Some(status) = child.try_wait().unwrap() {
+            assert_eq!(status.code(), Some(130));
+            return;
+        }
+    }
+    child.kill().unwrap();
+    panic!("it went on");
+}
+
+/// The texts of a chart of one run of [`SCENE`], changed, each as it stands in the SVG.
+fn plotted(changes: &[(&str, &str)]) -> Vec<String> {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let mut text = SCENE.to_owned();
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from}");
+        text = text.replacen(from, to, 1);
+    }
+    fs::write(at("scene.toml"), text).unwrap();
+    json(&[
+        "simulate",
+        &at("scene.toml"),
+        "--json",
+        "--plot",
+        &at("run.svg"),
+    ]);
+    texts(&fs::read_to_string(at("run.svg")).unwrap())
+}
+
+fn texts(svg: &str) -> Vec<String> {
+    let parts = svg
+        .split("</text>")
+        .filter_map(|part| part.rsplit('>').next());
+    parts.map(|text| text.trim().to_owned()).collect()
+}
+
+/// The labels of one axis: no two read the same.
+fn distinct<'a>(labels: impl Iterator<Item = &'a String>) {
+    let mut labels: Vec<&String> = labels.collect();
+    let all = labels.len();
+    assert!(all > 3, "{labels:?}");
+    labels.sort();
+    labels.dedup();
+    assert_eq!(labels.len(), all, "{labels:?}");
+}
+
+#[test]
+fn charts_of_runs_say_where_the_point_the_wall_and_the_digits_are() {
+    let has = |texts: &[String], words: &str| texts.iter().any(|text| text.contains(words));
+    // σ = 2.6 lies in the plane, 145 does not.
+    let near = plotted(&[]);
+    assert!(
+        has(&near, "(0.009, 2.61)") && !has(&near, "off the chart"),
+        "{near:?}"
+    );
+    assert!(!has(&near, "wall"), "{near:?}");
+    let stiff = plotted(&[("nm_rad = 1.0", "nm_rad = 0.018")]);
+    assert!(has(&stiff, "(0.5, 145), off the chart"), "{stiff:?}");
+    let wall = plotted(&[("\"spring\"", "\"wall\"")]);
+    assert!(has(&wall, "edge of the wall"), "{wall:?}");
+    // Far from zero, and long after the start.
+    let far = plotted(&[
+        ("nm_rad = 1.0", "nm_rad = 1.0\ncentre_rad = 100.0"),
+        ("angle_rad = 0.0", "angle_rad = 99.999"),
+    ]);
+    distinct(
+        far.iter()
+            .filter(|text| text.starts_with("100.") || text.starts_with("99.")),
+    );
+    let long = plotted(&[
+        ("samples = 200", "samples = 20000"),
+        ("8192", "20"),
+        ("nm_rad = 1.0", "nm_rad = 0.015"),
+    ]);
+    assert!(has(&long, "time before the end, ms"), "{long:?}");
+    assert!(has(&long, "-20") && has(&long, "-40"), "{long:?}");
+}
+
+#[test]
+fn charts_of_maps_and_plans_name_what_they_show() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let out = at("map");
+    let args = "map --mu 50 --v0 10 --grid 4 --samples 10 --out";
+    assert!(
+        run(&args.split(' ').chain([out.as_str()]).collect::<Vec<_>>())
+            .status
+            .success()
+    );
+    let shown = texts(&fs::read_to_string(at("map.svg")).unwrap());
+    for letter in ["a", "b", "c", "d"] {
+        assert!(
+            shown.iter().any(|text| text == letter),
+            "{letter}: {shown:?}"
+        );
+    }
+    // Without a wanted stiffness the device still stands among the regions.
+    assert!(run(&["plan", "--plot", &at("plan.svg")]).status.success());
+    let shown = texts(&fs::read_to_string(at("plan.svg")).unwrap());
+    for words in [
+        "(0.5, 145)",
+        "twice K",
+        "half T",
+        "a",
+        "b",
+        "c",
+        "d",
+        "1000",
+    ] {
+        assert!(shown.iter().any(|text| text == words), "{words}: {shown:?}");
+    }
+    fs::write(at("dry.toml"), SCENE.replace("9e-6", "0.0")).unwrap();
+    assert!(
+        run(&["plan", &at("dry.toml"), "--plot", &at("dry.svg")])
+            .status
+            .success()
+    );
+    let shown = texts(&fs::read_to_string(at("dry.svg")).unwrap());
+    assert!(
+        shown.iter().any(|text| text.contains("2b/T or 2c/Δ is 0")),
+        "{shown:?}"
+    );
+    assert!(!shown.iter().any(|text| text == "twice K"), "{shown:?}");
 }

@@ -82,7 +82,7 @@ pub enum SceneError {
     Config(#[from] ConfigError),
     /// The start is not finite or out of the counts' reach.
     #[error(
-        "start angle {angle_rad} rad; accepted: a finite angle within ±{limit_rad} rad, 2^31 hardware counts"
+        "start.angle_rad is {angle_rad}; accepted: a finite angle within ±{limit_rad} rad, 2^31 hardware counts"
     )]
     Angle {
         /// What was given.
@@ -92,7 +92,7 @@ pub enum SceneError {
     },
     /// The start's velocity is not finite or too fast to count.
     #[error(
-        "start velocity {velocity_rad_s} rad/s; accepted: a finite velocity within ±{limit_rad_s} rad/s, \
+        "start.velocity_rad_s is {velocity_rad_s}; accepted: a finite velocity within ±{limit_rad_s} rad/s, \
          2^30 hardware counts per sample"
     )]
     Velocity {
@@ -225,6 +225,21 @@ impl Scene {
             }
         });
         Ok(report)
+    }
+
+    /// The largest speed that the start can turn into under a spring of `stiffness_nm_rad`:
+    /// see [`energy::reachable_speed`]. rad/s.
+    #[must_use]
+    pub fn reachable_speed_rad_s(&self, stiffness_nm_rad: f64) -> f64 {
+        let deflection = self.start.position - self.config.zero_rad;
+        let start = State {
+            position: match self.config.side {
+                Side::Both => deflection,
+                Side::Above => deflection.max(0.0),
+            },
+            ..self.start
+        };
+        energy::reachable_speed(start, stiffness_nm_rad, self.device.inertia_kg_m2)
     }
 
     fn check_start(&self) -> Result<(), SceneError> {

@@ -4,7 +4,7 @@
 use control::ConfigError;
 use control::criterion::Dimensionless;
 
-use crate::energy::{self, Exchange};
+use crate::energy::{self, Exchange, Ledger};
 use crate::hold::{Hold, State};
 use crate::outcome::{Class, Classes, DIVERGED_COUNTS, Peaks};
 
@@ -28,6 +28,10 @@ pub fn quantised_force(xi: f64) -> f64 {
 /// 1.5·2⁵²: see [`quantised_force`].
 pub(crate) const ROUNDER: f64 = 6_755_399_441_055_744.0;
 
+/// As far as [`Display::run_audited`] follows a display, counts: the energy there, of the
+/// order of its square, is finite.
+const FURTHEST_COUNTS: f64 = 1e150;
+
 /// A display, solved exactly. Valid by construction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Display {
@@ -50,8 +54,8 @@ impl Display {
     /// A display with the parameters of (7).
     ///
     /// # Errors
-    /// Refuses a μ that is not finite and above zero, and a β or σ that is not finite or
-    /// below zero.
+    /// Refuses a μ that is not finite and above zero, a β or σ that is not finite or below
+    /// zero, and values beyond 1e100, or a μ below 1e-100, whose squares overflow.
     pub fn new(parameters: Dimensionless<f64>) -> Result<Self, ConfigError> {
         let Dimensionless { mu, beta, sigma } = parameters;
         Ok(Self {
@@ -158,6 +162,55 @@ impl Display {
         }
     }
 
+    /// Runs exactly `samples` intervals from `start`, or fewer if the display comes to rest,
+    /// and audits every one. Other than [`Display::run`] it goes on where it has diverged,
+    /// up to 1e150 counts, beyond which an energy has no place in an `f64`. `go_on` is
+    /// asked at every sample; the run ends where it returns false.
+    pub fn run_audited(
+        &self,
+        start: State,
+        samples: u64,
+        mut go_on: impl FnMut(u64) -> bool,
+    ) -> (Run, Ledger) {
+        let mut state = start;
+        let mut ledger = Ledger::default();
+        let mut peaks = Peaks::new(samples);
+        let mut diverged = false;
+        let mut sample = 0;
+        let classes = loop {
+            let speed = state.velocity.abs();
+            peaks.enter(sample, speed);
+            diverged |= state.position.abs() > DIVERGED_COUNTS;
+            let classes = if self.rests(state) {
+                both(Class::Rest)
+            } else if sample == samples {
+                peaks.classes(speed)
+            } else if go_on(sample) {
+                let (next, exchange) = self.audited_step(state, 0.0);
+                if next.position.abs().max(next.velocity.abs()) < FURTHEST_COUNTS {
+                    ledger.enter(exchange);
+                    state = next;
+                    sample += 1;
+                    continue;
+                }
+                both(Class::Unstable)
+            } else {
+                both(Class::Undecided)
+            };
+            break if diverged {
+                both(Class::Unstable)
+            } else {
+                classes
+            };
+        };
+        let run = Run {
+            end: state,
+            samples: sample,
+            classes,
+        };
+        (run, ledger)
+    }
+
     /// One interval under the display's own force and a hand that pushes with `push`
     /// (units of K Δ): the state after it, and what it generated and dissipated.
     #[must_use]
@@ -183,6 +236,46 @@ fn both(class: Class) -> Classes {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_audited_run_goes_on_after_divergence_and_is_else_the_same() {
+        let from = |velocity| State {
+            position: 0.0,
+            velocity,
+        };
+        for (mu, beta, sigma, v0, samples) in [
+            (50.0, 0.3, 0.7, 10.0, 20_000),
+            (50.0, 0.6, 0.3, 10.0, 20_000),
+            (50.0, 0.6, 0.3, 10.0, 500),
+            (50.0, 0.2, 0.4, 3.0, 9_000),
+        ] {
+            let display = Display::new(Dimensionless { mu, beta, sigma }).unwrap();
+            let run = display.run(from(v0), samples, |_, _| true);
+            let (audited, ledger) = display.run_audited(from(v0), samples, |_| true);
+            if run.end.position.abs() > DIVERGED_COUNTS {
+                assert!(run.samples < samples);
+                assert_eq!(audited.samples, samples);
+                assert!(audited.end.position.abs().max(audited.end.velocity.abs()) > 1e9);
+                assert_eq!(audited.classes, both(Class::Unstable));
+            } else {
+                assert_eq!(audited, run);
+            }
+            let stored = display.stored_energy(audited.end) - display.stored_energy(from(v0));
+            let balance = ledger.generated - ledger.dissipated;
+            let scale = ledger.generated.abs().max(ledger.dissipated);
+            assert!((stored - balance).abs() <= 1e-9 * scale);
+        }
+        // Far beyond what an f64 can hold: the last state that it can.
+        let wild = Display::new(Dimensionless {
+            mu: 0.1,
+            beta: 0.0,
+            sigma: 0.0,
+        })
+        .unwrap();
+        let (run, ledger) = wild.run_audited(from(1e9), 50_000, |_| true);
+        assert!(run.samples < 50_000 && run.end.position.abs() > 1e100);
+        assert!(ledger.generated.is_finite() && ledger.given_out.is_finite());
+    }
 
     #[test]
     fn the_force_is_that_of_the_floor_also_on_edges_and_far_out() {

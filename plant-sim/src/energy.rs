@@ -93,6 +93,17 @@ pub fn kinetic(inertia: f64, velocity: f64) -> f64 {
     0.5 * inertia * velocity * velocity
 }
 
+/// The largest speed that a start can turn into, √(v² + K·x²/m): all that a spring of
+/// `stiffness` stores at a deflection of `start.position` from its zero, turned into
+/// motion. At a start under load it stands for the initial speed of (10), whose proof begins
+/// at zero deflection. Units: those of the start; stiffness 1 and inertia μ for the display (6).
+#[must_use]
+pub fn reachable_speed(start: State, stiffness: f64, inertia: f64) -> f64 {
+    start
+        .velocity
+        .hypot(start.position * (stiffness / inertia).sqrt())
+}
+
 /// What friction takes in one interval, ∫(b v² + c|v|) dt (23), in closed form and
 /// independently of the energy balance. Units: those of the [`Hold`] (J, or K Δ²).
 #[must_use]
@@ -165,5 +176,33 @@ impl Ledger {
         self.generated += exchange.generated;
         self.dissipated += exchange.dissipated;
         self.given_out = self.given_out.max(self.generated - self.dissipated);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::display::Display;
+    use crate::outcome::Class;
+    use control::criterion::Dimensionless;
+
+    #[test]
+    fn a_start_under_load_counts_with_the_speed_it_can_reach() {
+        // Satisfies (10) by its velocity alone, and diverges.
+        let parameters = Dimensionless {
+            mu: 0.2428,
+            beta: 0.0199,
+            sigma: 0.6607,
+        };
+        let start = State {
+            position: 0.994,
+            velocity: 0.328,
+        };
+        assert!(parameters.holds_at(start.velocity));
+        assert!(!parameters.holds_at(reachable_speed(start, 1.0, parameters.mu)));
+        let run = Display::new(parameters)
+            .unwrap()
+            .run(start, 50_000, |_, _| true);
+        assert_eq!(run.classes.window, Class::Unstable);
     }
 }

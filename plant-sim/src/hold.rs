@@ -71,6 +71,9 @@ pub struct Hold {
     thrust: f64,
 }
 
+/// The largest μ, β, σ and 1/μ.
+const EXTREME: f64 = 1e100;
+
 impl Hold {
     /// Intervals of `duration` for a device in physical units.
     ///
@@ -108,6 +111,7 @@ impl Hold {
         for (name, value) in [
             ("viscous friction × duration / inertia", y),
             ("duration² / inertia (s²/kg m²)", duration * mobility),
+            ("(duration² / inertia)²", (duration * mobility).powi(2)),
         ] {
             if !value.is_finite() {
                 return Err(ConfigError::Negative { name, value });
@@ -119,8 +123,18 @@ impl Hold {
     /// Intervals of length 1 of the dimensionless display (6) with μ, β, σ.
     ///
     /// # Errors
-    /// As [`Hold::new`].
+    /// Refuses a μ that is not above zero, a negative β or σ, and what is not finite or so
+    /// extreme that squares overflow: μ from 1e-100 to 1e100, β and σ up to 1e100.
     pub fn dimensionless(mu: f64, beta: f64, sigma: f64) -> Result<Self, ConfigError> {
+        if !(EXTREME.recip()..=EXTREME).contains(&mu) {
+            let name = "μ (from 1e-100 to 1e100)";
+            return Err(ConfigError::NotPositive { name, value: mu });
+        }
+        for (name, value) in [("β (up to 1e100)", beta), ("σ (up to 1e100)", sigma)] {
+            if !(0.0..=EXTREME).contains(&value) {
+                return Err(ConfigError::Negative { name, value });
+            }
+        }
         Self::new(
             &Device {
                 inertia_kg_m2: mu,

@@ -33,7 +33,7 @@ pub enum Class {
     LimitCycle,
     /// Grows without bound.
     Unstable,
-    /// The run is too short to tell.
+    /// The run is too short to tell, which only the window rule says, or was ended.
     Undecided,
 }
 
@@ -121,7 +121,6 @@ impl Peaks {
         let paper = match window {
             Class::Unstable => Class::Unstable,
             _ if speed < CONVERGED_SPEED => Class::Rest,
-            Class::Undecided => Class::Undecided,
             _ => Class::LimitCycle,
         };
         Classes { window, paper }
@@ -170,12 +169,9 @@ mod tests {
         assert_eq!(classes(10.0, 1.0, 1.0, 0.001), (LimitCycle, Rest));
         assert_eq!(classes(10.0, 1.0, 0.009, 0.009), (Rest, Rest));
         assert_eq!(classes(10.0, 20.0, 20.3, 5.0), (LimitCycle, LimitCycle));
-        // Too short for three windows.
+        // Too short for three windows; the paper's rule reads the last sample alone.
         let short = Peaks::new(7_999).classes(1.0);
-        assert_eq!(
-            (short.window, short.paper),
-            (Class::Undecided, Class::Undecided)
-        );
+        assert_eq!((short.window, short.paper), (Class::Undecided, LimitCycle));
         assert_eq!(Peaks::new(7_999).classes(0.001).paper, Rest);
     }
 }

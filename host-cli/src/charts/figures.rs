@@ -7,7 +7,7 @@ use plotters::prelude::*;
 use super::map::{Filled, rectangles};
 use super::plane::Plane;
 use super::style::{
-    Area, BLUE, GREEN, GREY, LABEL, PURPLE, RED, SMALL, TITLE, letters, page, trouble,
+    Area, BLUE, GREEN, GREY, LABEL, PURPLE, RED, SMALL, TITLE, letters, line_sample, page, trouble,
 };
 use crate::commands::map::{Rule, Swept};
 
@@ -90,11 +90,11 @@ pub fn unstable(swept: &Swept) -> Result<String> {
             swept.map.point(0).0.mu
         );
         let mut plane = Plane::new(&chart, &title, 0.0..1.0, 0.0..1.0)?;
-        let shades = overlay(swept, |classes| Rule::Window.of(classes) == Class::Unstable);
+        let shades = overlay(swept, |classes| Rule::Window.of(classes) == Class::Unstable)?;
         plane.fill(shades)?;
         plane.borders()?;
+        plane.critical_lines(swept.map.v0(), RED)?;
         for v0 in swept.map.v0() {
-            plane.critical_line(*v0, RED)?;
             plane.describing_function_line(*v0, BLUE)?;
         }
         key(&legend, swept, "unstable from", true)
@@ -115,11 +115,9 @@ pub fn oscillating(swept: &Swept) -> Result<String> {
             let mut plane = Plane::new(area, &title, 0.0..1.0, 0.0..1.0)?;
             plane.fill(overlay(swept, |classes| {
                 rule.of(classes) == Class::LimitCycle
-            }))?;
+            })?)?;
             plane.borders()?;
-            for v0 in swept.map.v0() {
-                plane.critical_line(*v0, RED)?;
-            }
+            plane.critical_lines(swept.map.v0(), RED)?;
         }
         key(&legend, swept, "oscillates from", false)
     })
@@ -132,12 +130,12 @@ fn shade(panel: usize, panels: usize) -> RGBAColor {
 }
 
 /// Rectangles of all panels, the last panel first, so that the first lies on top.
-fn overlay(swept: &Swept, shown: impl Fn(Classes) -> bool) -> Vec<Filled> {
+fn overlay(swept: &Swept, shown: impl Fn(Classes) -> bool) -> Result<Vec<Filled>> {
     let panels = swept.v0.len();
     let painted = rectangles(swept, |classes, panel| {
         shown(classes).then(|| shade(panel, panels))
-    });
-    painted.into_iter().rev().flatten().collect()
+    })?;
+    Ok(painted.into_iter().rev().flatten().collect())
 }
 
 fn key(area: &Area<'_>, swept: &Swept, what: &str, describing: bool) -> Result<()> {
@@ -156,17 +154,16 @@ fn key(area: &Area<'_>, swept: &Swept, what: &str, describing: bool) -> Result<(
         .map_err(trouble)?;
     let y = 44;
     let mut x = 24;
-    let mut lines = vec![(RED, "critical lines (9) (dashed), flatter for slower")];
+    let mut lines = vec![(true, RED, "critical lines (9), each with its velocity")];
     if describing {
         lines.push((
+            false,
             BLUE,
             "describing function β + 4σ/(π v₀) = ½, not in the paper",
         ));
     }
-    for (colour, text) in lines {
-        let ends = [(x, y + 8), (x + 36, y + 8)];
-        area.draw(&PathElement::new(ends, colour.stroke_width(2)))
-            .map_err(trouble)?;
+    for (dashed, colour, text) in lines {
+        line_sample(area, (x, y + 8), colour, dashed)?;
         area.draw_text(text, &letters(LABEL, BLACK), (x + 45, y))
             .map_err(trouble)?;
         x += 70 + 7 * text.chars().count() as i32;

@@ -6,8 +6,9 @@ use plant_sim::outcome::Class;
 use plotters::prelude::*;
 
 use super::plane::Plane;
-use super::style::{Area, BLUE, GREY, LABEL, RED, SKY, SMALL, letters, page, trouble};
+use super::style::{Area, BLUE, GREY, LABEL, RED, SKY, SMALL, letters, line_sample, page, trouble};
 use crate::commands::map::Swept;
+use crate::stop;
 
 /// Width and height of a panel, pixels.
 const PANEL: (u32, u32) = (520, 500);
@@ -26,31 +27,28 @@ pub fn panels(swept: &Swept) -> Result<String> {
     let count = swept.v0.len();
     let columns = (count as f64).sqrt().ceil() as usize;
     let rows = count.div_ceil(columns);
-    let width = (PANEL.0 * columns as u32).max(640);
+    let width = (PANEL.0 * columns as u32).max(780);
     let size = (width, PANEL.1 * rows as u32 + 74);
     page(size, |page| {
         let (charts, legend) = page.split_vertically(size.1 - 74);
-        for (panel, area) in charts
-            .split_evenly((rows, columns))
-            .iter()
-            .take(count)
-            .enumerate()
-        {
-            draw_panel(swept, panel, area)?;
+        let cells = rectangles(swept, |classes, _| Some(colour(swept.rule.of(classes))))?;
+        let areas = charts.split_evenly((rows, columns));
+        for (panel, (area, cells)) in areas.iter().zip(cells).enumerate() {
+            draw_panel(swept, panel, area, cells)?;
         }
         draw_legend(swept, &legend)
     })
 }
 
-fn draw_panel(swept: &Swept, panel: usize, area: &Area<'_>) -> Result<()> {
+fn draw_panel(swept: &Swept, panel: usize, area: &Area<'_>, cells: Vec<Filled>) -> Result<()> {
     let map = &swept.map;
     let (mu, v0) = (map.point(0).0.mu, map.v0()[panel]);
     let title = format!("μ = {mu}, from {} counts per sample", swept.v0[panel]);
     let range = |span: Span| span.from()..span.to();
     let mut plane = Plane::new(area, &title, range(map.beta()), range(map.sigma()))?;
-    plane
-        .fill(rectangles(swept, |classes, _| Some(colour(swept.rule.of(classes)))).remove(panel))?;
+    plane.fill(cells)?;
     plane.borders()?;
+    plane.region_letters(BLACK)?;
     plane.critical_line(v0, BLACK)?;
     if v0 != 0.0 {
         plane.describing_function_line(v0, BLUE)?;
@@ -62,11 +60,12 @@ fn draw_panel(swept: &Swept, panel: usize, area: &Area<'_>) -> Result<()> {
 pub type Filled = ([(f64, f64); 2], RGBAColor);
 
 /// The cells of every panel as rectangles, runs of one colour joined along σ. `paint` gives
-/// the colour of a cell's classes in a panel, None to leave it white.
+/// the colour of a cell's classes in a panel, None to leave it white. An error where the user
+/// asks to stop.
 pub fn rectangles(
     swept: &Swept,
     paint: impl Fn(plant_sim::outcome::Classes, usize) -> Option<RGBAColor>,
-) -> Vec<Vec<Filled>> {
+) -> Result<Vec<Vec<Filled>>> {
     let map = &swept.map;
     let grid = map.grid();
     let edge = |span: Span, index: usize| {
@@ -74,6 +73,7 @@ pub fn rectangles(
     };
     let mut panels = vec![Vec::new(); map.v0().len()];
     for (row, classes) in swept.classes.chunks(grid).enumerate() {
+        stop::check()?;
         let (panel, i, _) = map.place(row * grid);
         let mut from = 0;
         for run in classes.chunk_by(|a, b| paint(*a, panel) == paint(*b, panel)) {
@@ -86,7 +86,7 @@ pub fn rectangles(
             from = to;
         }
     }
-    panels
+    Ok(panels)
 }
 
 fn draw_legend(swept: &Swept, area: &Area<'_>) -> Result<()> {
@@ -119,16 +119,7 @@ fn draw_legend(swept: &Swept, area: &Area<'_>) -> Result<()> {
         (true, BLACK, "critical line (9)"),
         (false, BLUE, "describing function"),
     ] {
-        let pieces = if dashed {
-            [(0, 9), (14, 23), (28, 37)]
-        } else {
-            [(0, 13), (13, 26), (26, 37)]
-        };
-        for (from, to) in pieces {
-            let ends = [(x + from, y + 8), (x + to, y + 8)];
-            area.draw(&PathElement::new(ends, colour.stroke_width(2)))
-                .map_err(trouble)?;
-        }
+        line_sample(area, (x, y + 8), colour, dashed)?;
         area.draw_text(text, &letters(LABEL, BLACK), (x + 45, y))
             .map_err(trouble)?;
         x += 62 + 7 * text.len() as i32;

@@ -7,9 +7,10 @@ use plotters::prelude::*;
 use super::plane::Plane;
 use super::style::{
     Area, BLUE, FAINT, GREEN, GREY, LABEL, ORANGE, PURPLE, RED, SMALL, TITLE, clip, letters, page,
-    short, trouble,
+    trouble,
 };
 use crate::commands::plan::describing_function_stiffness;
+use crate::number::short;
 
 /// Speeds shown, rad/s.
 const SPEED: std::ops::Range<f64> = 0.1..100.0;
@@ -49,7 +50,7 @@ impl<'a> PlanChart<'a> {
             .map(|v| (v, criterion.largest_stiffness_at(v).min(coulomb)))
             .collect();
         let growing: Vec<_> = speeds
-            .map(|v| (v, describing_function_stiffness(criterion, v)))
+            .filter_map(|v| Some((v, describing_function_stiffness(criterion, v)?)))
             .collect();
         let shown = [viscous, coulomb, self.wanted.unwrap_or(coulomb)]
             .into_iter()
@@ -152,40 +153,60 @@ impl<'a> PlanChart<'a> {
     }
 
     /// The device at the wanted stiffness, or at the largest that is passive at every speed,
-    /// and where half the period, half the count and twice the stiffness would put it.
+    /// and where half the period, half the count and twice the stiffness would put it. Over
+    /// logarithms each of these is a step of the same length, and the stiffness moves the
+    /// device along a diagonal.
     fn plane(&self, area: &Area<'_>) -> Result<()> {
         let stiffness = self.wanted.unwrap_or(self.criterion.largest_stiffness());
-        let point = self.criterion.dimensionless(stiffness);
-        if !(point.beta.is_finite() && point.sigma.is_finite()) {
-            return Plane::new(
-                area,
-                "no friction: no passive stiffness",
-                0.0..1.0,
-                0.0..1.0,
+        if stiffness == 0.0 {
+            let at = (40, 40);
+            area.draw_text(
+                "2b/T or 2c/Δ is 0: no stiffness is passive at every speed",
+                &letters(LABEL, GREY),
+                at,
             )
-            .map(|_| ());
+            .map_err(trouble)?;
+            return Ok(());
         }
-        let (beta, sigma) = (point.beta, point.sigma);
-        let frame = |value: f64| 1.0_f64.max((2.4 * value).min(40.0));
-        let (right, top) = (frame(beta), frame(sigma));
-        let title = format!("at K = {} Nm/rad", short(stiffness));
-        let mut plane = Plane::new(area, &title, 0.0..right, 0.0..top)?;
+        let point = self.criterion.dimensionless(stiffness);
+        let log = |value: f64| value.clamp(1e-6, 1e6).log10();
+        // A friction of zero lies infinitely far out: the point is put at the edge.
+        let place = |value: f64| match value {
+            0.0 => (-1.0, -1.0..1.0),
+            _ => {
+                let at = log(value);
+                (at, (at - 0.5).min(-1.0).floor()..(at + 0.6).max(1.0).ceil())
+            }
+        };
+        let ((beta, beta_range), (sigma, sigma_range)) = (place(point.beta), place(point.sigma));
+        let title = match self.wanted {
+            Some(_) => format!("at the wanted {} Nm/rad", short(stiffness)),
+            None => format!("at {} Nm/rad, passive at every speed", short(stiffness)),
+        };
+        let mut plane = Plane::logarithmic(area, &title, beta_range, sigma_range)?;
         plane.regions()?;
         plane.borders()?;
-        if sigma < top {
-            plane.line((0.0, 0.0), (beta, sigma), GREY.stroke_width(1))?;
-            plane.arrow((beta, sigma), (beta / 2.0, sigma / 2.0), RED)?;
-            plane.arrow((beta, sigma), (2.0 * beta, sigma), BLUE)?;
-            plane.arrow((beta, sigma), (beta, 2.0 * sigma), GREEN)?;
+        plane.region_letters(GREY)?;
+        if point.beta > 0.0 && point.sigma > 0.0 {
+            // All stiffnesses.
+            let far = 20.0;
+            plane.line(
+                (beta - far, sigma - far),
+                (beta + far, sigma + far),
+                GREY.stroke_width(1),
+            )?;
+            let step = 2.0_f64.log10();
+            for (to, shift, colour, text) in [
+                ((beta - step, sigma - step), (-58, 2), RED, "twice K"),
+                ((beta + step, sigma), (6, -8), BLUE, "half T"),
+                ((beta, sigma + step), (-16, -20), GREEN, "half Δ"),
+            ] {
+                plane.arrow((beta, sigma), to, colour)?;
+                plane.write(to, shift, text, LABEL, colour)?;
+            }
         }
-        plane.characteristic_point(point, &format!("({}, {})", short(beta), short(sigma)))?;
-        for (row, colour, text) in [
-            (0, RED, "twice K"),
-            (1, BLUE, "half T"),
-            (2, GREEN, "half Δ"),
-        ] {
-            plane.write((right, top), (-80, 12 + 20 * row), text, LABEL, colour)?;
-        }
-        Ok(())
+        plane.dot((beta, sigma), BLACK)?;
+        let text = format!("({}, {})", short(point.beta), short(point.sigma));
+        plane.write((beta, sigma), (12, 12), &text, LABEL, BLACK)
     }
 }

@@ -9,17 +9,50 @@ use std::ops::Range;
 use super::style::{
     Area, BLUE, GREEN, GREY, LABEL, ORANGE, RED, SMALL, TITLE, clip, letters, trouble,
 };
+use crate::number::digits;
+use crate::stop;
 
-/// A chart over (β, σ).
+/// A chart over (β, σ), or over their decimal logarithms.
 pub struct Plane<'a> {
     chart: ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>,
     beta: Range<f64>,
     sigma: Range<f64>,
+    /// Where β = ½ and σ = ½ lie.
+    half: f64,
 }
 
 impl<'a> Plane<'a> {
     /// An empty plane with axes.
     pub fn new(area: &Area<'a>, title: &str, beta: Range<f64>, sigma: Range<f64>) -> Result<Self> {
+        Self::with_axes(area, title, beta, sigma, (6, 6), 0.5, |value| {
+            digits(value, 3)
+        })
+    }
+
+    /// An empty plane over log₁₀ β and log₁₀ σ, from and to whole powers of ten. All points
+    /// are given in these coordinates; lines of the linear plane would be curves here.
+    pub fn logarithmic(
+        area: &Area<'a>,
+        title: &str,
+        beta: Range<f64>,
+        sigma: Range<f64>,
+    ) -> Result<Self> {
+        let labels = |range: &Range<f64>| (range.end - range.start) as usize + 1;
+        let count = (labels(&beta), labels(&sigma));
+        Self::with_axes(area, title, beta, sigma, count, 0.5_f64.log10(), |value| {
+            digits(10_f64.powf(value), 3)
+        })
+    }
+
+    fn with_axes(
+        area: &Area<'a>,
+        title: &str,
+        beta: Range<f64>,
+        sigma: Range<f64>,
+        labels: (usize, usize),
+        half: f64,
+        label: impl Fn(f64) -> String,
+    ) -> Result<Self> {
         let mut chart = ChartBuilder::on(area)
             .caption(title, letters(TITLE, BLACK))
             .margin(12)
@@ -32,13 +65,20 @@ impl<'a> Plane<'a> {
             .disable_mesh()
             .x_desc("β = b / (K T)   effective viscous friction")
             .y_desc("σ = c / (K Δ)   effective Coulomb friction")
-            .x_labels(6)
-            .y_labels(6)
+            .x_labels(labels.0)
+            .y_labels(labels.1)
+            .x_label_formatter(&|beta| label(*beta))
+            .y_label_formatter(&|sigma| label(*sigma))
             .label_style(letters(SMALL, BLACK))
             .axis_desc_style(letters(LABEL, BLACK))
             .draw()
             .map_err(trouble)?;
-        Ok(Self { chart, beta, sigma })
+        Ok(Self {
+            chart,
+            beta,
+            sigma,
+            half,
+        })
     }
 
     /// Filled rectangles: corners and colour.
@@ -48,27 +88,49 @@ impl<'a> Plane<'a> {
     ) -> Result<()> {
         let shapes = rectangles
             .into_iter()
+            .take_while(|_| !stop::requested())
             .map(|(corners, colour)| Rectangle::new(corners, colour.filled()));
         self.chart.draw_series(shapes).map_err(trouble)?;
-        Ok(())
+        Ok(stop::check()?)
     }
 
     /// The four regions of Fig. 3 in faint colours.
     pub fn regions(&mut self) -> Result<()> {
-        let (b, s) = (self.beta.clone(), self.sigma.clone());
+        let (b, s, half) = (self.beta.clone(), self.sigma.clone(), self.half);
         self.fill([
-            ([(0.5, 0.5), (b.end, s.end)], GREEN.mix(0.22)),
-            ([(b.start, s.start), (0.5, 0.5)], RED.mix(0.25)),
-            ([(0.5, s.start), (b.end, 0.5)], ORANGE.mix(0.22)),
-            ([(b.start, 0.5), (0.5, s.end)], BLUE.mix(0.15)),
+            ([(half, half), (b.end, s.end)], GREEN.mix(0.22)),
+            ([(b.start, s.start), (half, half)], RED.mix(0.25)),
+            ([(half, s.start), (b.end, half)], ORANGE.mix(0.22)),
+            ([(b.start, half), (half, s.end)], BLUE.mix(0.15)),
         ])
+    }
+
+    /// The paper's letters of the regions, each in the middle of the part that is shown.
+    pub fn region_letters(&mut self, colour: RGBColor) -> Result<()> {
+        let half = self.half;
+        // Below and above one half; None where nothing is shown of it.
+        let middles = |range: &Range<f64>| {
+            let (low, high) = (range.end.min(half), range.start.max(half));
+            [
+                (range.start < low).then_some((range.start + low) / 2.0),
+                (high < range.end).then_some((high + range.end) / 2.0),
+            ]
+        };
+        let (beta, sigma) = (middles(&self.beta), middles(&self.sigma));
+        for (b, s, letter) in [(1, 1, "a"), (0, 0, "b"), (1, 0, "c"), (0, 1, "d")] {
+            if let (Some(b), Some(s)) = (beta[b], sigma[s]) {
+                self.write((b, s), (-4, -8), letter, LABEL, colour)?;
+            }
+        }
+        Ok(())
     }
 
     /// The borders β = ½ and σ = ½.
     pub fn borders(&mut self) -> Result<()> {
+        let half = self.half;
         for (from, to) in [
-            ((0.5, self.sigma.start), (0.5, self.sigma.end)),
-            ((self.beta.start, 0.5), (self.beta.end, 0.5)),
+            ((half, self.sigma.start), (half, self.sigma.end)),
+            ((self.beta.start, half), (self.beta.end, half)),
         ] {
             self.dashes(from, to, 2, 4, GREY.stroke_width(1))?;
         }
@@ -85,6 +147,41 @@ impl<'a> Plane<'a> {
             5,
             colour.stroke_width(2),
         )
+    }
+
+    /// The critical lines of several speeds, each with its speed at its upper end where there
+    /// is room: left of the line if the slower one is far enough, else right of it if there
+    /// is no faster one.
+    pub fn critical_lines(&mut self, speeds: &[f64], colour: RGBColor) -> Result<()> {
+        let mut speeds: Vec<f64> = speeds.iter().map(|speed| speed.abs()).collect();
+        speeds.sort_by(f64::total_cmp);
+        let top = self.sigma.end;
+        let mut taken = self.pixel((self.beta.start, top)).0;
+        for (i, speed) in speeds.iter().enumerate() {
+            self.critical_line(*speed, colour)?;
+            let at = (0.5 - (top - 0.5) / speed, top);
+            if !(self.beta.start..self.beta.end).contains(&at.0) {
+                continue;
+            }
+            let text = digits(*speed, 3);
+            let width = 8 * text.len() as i32;
+            let x = self.pixel(at).0;
+            let left = if x - taken > width + 8 {
+                -width - 4
+            } else if i + 1 == speeds.len() {
+                8
+            } else {
+                continue;
+            };
+            taken = x;
+            // On white, since it may lie on cells of any shade.
+            let corners = [(left - 2, 2), (left + width, 17)];
+            let ground = Rectangle::new(corners, WHITE.mix(0.85).filled());
+            let ground = EmptyElement::at(at) + ground;
+            self.chart.draw_series([ground]).map_err(trouble)?;
+            self.write(at, (left, 4), &text, SMALL, colour)?;
+        }
+        Ok(())
     }
 
     /// The describing-function line β + 4σ/(π v₀) = ½, solid.
@@ -200,8 +297,7 @@ impl<'a> Plane<'a> {
         } else {
             self.dot(at, BLACK)?;
         }
-        let half = (self.beta.start + self.beta.end) / 2.0;
-        let left = at.0 > half;
+        let left = at.0 > (self.beta.start + self.beta.end) / 2.0;
         let shift = if left {
             (-12 - 7 * text.chars().count() as i32, 12)
         } else {

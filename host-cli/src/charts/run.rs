@@ -5,14 +5,17 @@ use std::collections::VecDeque;
 
 use anyhow::Result;
 use control::criterion::{Criterion, Dimensionless, Region, Sampling};
+use control::spring::Side;
 use plant_sim::closed_loop::{Report, Scene};
 use plant_sim::outcome::Class;
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
 use super::plane::Plane;
 use super::style::{
-    Area, BLUE, FAINT, GREY, LABEL, PURPLE, SMALL, TITLE, letters, page, short, trouble,
+    Area, BLUE, FAINT, GREY, LABEL, ORANGE, PURPLE, SMALL, TITLE, letters, page, tick, trouble,
 };
+use crate::number::{digits, short};
 
 /// The smallest and the largest of a quantity over stretches of time: as many as a picture
 /// can show, however long the run.
@@ -95,9 +98,10 @@ pub struct RunChart<'a> {
     verdict: String,
     class: Class,
     point: Dimensionless<f64>,
-    /// Initial speed, counts per sample.
+    /// The speed that the start can turn into, counts per sample.
     speed: f64,
     zero_rad: f64,
+    side: Side,
     count_rad: f64,
     envelope: &'a Envelope,
 }
@@ -118,9 +122,8 @@ impl<'a> RunChart<'a> {
             Region::LimitCycle => "(c), limit cycles",
             Region::LocallyPassive => "(d), passive while slow",
         };
-        let holds = if criterion.power_margin_nm(report.max_stiffness_nm_rad, scene.start.velocity)
-            >= 0.0
-        {
+        let speed_rad_s = scene.reachable_speed_rad_s(report.max_stiffness_nm_rad);
+        let holds = if criterion.power_margin_nm(report.max_stiffness_nm_rad, speed_rad_s) >= 0.0 {
             "holds"
         } else {
             "does not hold"
@@ -142,8 +145,9 @@ impl<'a> RunChart<'a> {
             verdict: format!("region {region}; (10) {holds} at the start; outcome: {class}"),
             class: report.class,
             point,
-            speed: scene.start.velocity * config.period_s / count_rad,
+            speed: speed_rad_s * config.period_s / count_rad,
             zero_rad: config.zero_rad,
+            side: config.side,
             count_rad,
             envelope,
         })
@@ -176,120 +180,169 @@ impl<'a> RunChart<'a> {
     }
 
     fn plane(&self, area: &Area<'_>) -> Result<()> {
-        let mut plane = Plane::new(area, "critical line of the start", 0.0..1.0, 0.0..1.0)?;
+        let Dimensionless { beta, sigma, .. } = self.point;
+        // The axes grow to the point, but not so far that the regions become too small to see.
+        let end = |value: f64| match 1.15 * value {
+            end if (1.0..=6.0).contains(&end) => end,
+            _ => 1.0,
+        };
+        let (right, top) = (end(beta), end(sigma));
+        let mut plane = Plane::new(area, "critical line of the start", 0.0..right, 0.0..top)?;
         plane.regions()?;
         plane.borders()?;
         plane.critical_line(self.speed, PURPLE)?;
-        for (at, name) in [
-            ((0.75, 0.75), "a"),
-            ((0.25, 0.25), "b"),
-            ((0.75, 0.25), "c"),
-            ((0.25, 0.75), "d"),
-        ] {
-            plane.write(at, (0, 0), name, LABEL, GREY)?;
+        plane.region_letters(GREY)?;
+        let mut text = format!("({}, {})", short(beta), short(sigma));
+        if beta > right || sigma > top {
+            text += ", off the chart";
         }
-        let text = format!("({}, {})", short(self.point.beta), short(self.point.sigma));
         plane.characteristic_point(self.point, &text)
     }
 
-    /// The whole run with ±1 count.
+    /// The whole run with ±1 count, and the wall where there is one.
     fn time(&self, area: &Area<'_>) -> Result<()> {
-        let edges = [
-            self.zero_rad + self.count_rad,
-            self.zero_rad - self.count_rad,
+        let zero = self.zero_rad;
+        let mut levels = vec![
+            Level {
+                angle_rad: zero + self.count_rad,
+                colour: GREY,
+                name: Some("±1 count"),
+            },
+            Level {
+                angle_rad: zero - self.count_rad,
+                colour: GREY,
+                name: None,
+            },
         ];
-        self.curve(
+        if self.side == Side::Above {
+            levels.push(Level {
+                angle_rad: zero,
+                colour: ORANGE,
+                name: Some("edge of the wall"),
+            });
+        }
+        curve(
             area,
             "angle against time",
+            "time, s",
             self.envelope.line().collect(),
-            &edges,
+            &levels,
         )
     }
 
     /// The last samples, large: a limit cycle may be much smaller than a count.
     fn ending(&self, area: &Area<'_>) -> Result<()> {
         let title = format!("the last {ENDING} samples, enlarged");
-        self.curve(
+        let ending = &self.envelope.ending;
+        let end_s = ending.back().map_or(0.0, |last| last.0);
+        let points = ending
+            .iter()
+            .map(|(time_s, angle)| ((time_s - end_s) * 1e3, *angle));
+        curve(
             area,
             &title,
-            self.envelope.ending.iter().copied().collect(),
+            "time before the end, ms",
+            points.collect(),
             &[],
         )
     }
+}
 
-    fn curve(
-        &self,
-        area: &Area<'_>,
-        title: &str,
-        points: Vec<(f64, f64)>,
-        edges: &[f64],
-    ) -> Result<()> {
-        let angles = points
-            .iter()
-            .map(|point| point.1)
-            .chain(edges.iter().copied());
-        let (low, high) = angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), angle| {
-            (low.min(angle), high.max(angle))
-        });
-        let margin = 0.06 * (high - low).max(1e-9);
-        // Room for the legend above the curve.
-        let head = if edges.is_empty() {
-            margin
-        } else {
-            4.0 * margin
-        };
-        let start_s = points.first().map_or(0.0, |point| point.0);
-        let end_s = points
-            .last()
-            .map_or(1.0, |point| point.0)
-            .max(start_s + 1e-9);
-        let mut chart = ChartBuilder::on(area)
-            .caption(title, letters(TITLE, BLACK))
-            .margin(12)
-            .x_label_area_size(46)
-            .y_label_area_size(78)
-            .build_cartesian_2d(start_s..end_s, low - margin..high + head)
-            .map_err(trouble)?;
-        chart
-            .configure_mesh()
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(FAINT)
-            .x_desc("time, s")
-            .y_desc("angle, rad")
-            .label_style(letters(SMALL, BLACK))
-            .axis_desc_style(letters(LABEL, BLACK))
-            .y_label_formatter(&|angle| short(*angle))
-            .x_label_formatter(&|time| short(*time))
-            .draw()
-            .map_err(trouble)?;
-        chart
-            .draw_series(LineSeries::new(points, BLUE.stroke_width(2)))
-            .map_err(trouble)?
-            .label("angle")
-            .legend(|(x, y)| PathElement::new([(x, y), (x + 22, y)], BLUE.stroke_width(2)));
-        for (i, edge) in edges.iter().enumerate() {
-            let ends = [(start_s, *edge), (end_s, *edge)];
-            let dashes = DashedLineSeries::new(ends, 6, 4, GREY.stroke_width(2));
-            let series = chart.draw_series(dashes).map_err(trouble)?;
-            if i == 0 {
-                series
-                    .label("±1 count")
-                    .legend(|(x, y)| PathElement::new([(x, y), (x + 22, y)], GREY.stroke_width(2)));
-            }
+/// An angle that is marked across a chart.
+struct Level {
+    angle_rad: f64,
+    colour: RGBColor,
+    name: Option<&'static str>,
+}
+
+/// Angles (rad) against time, with levels and a legend if there are any. Where they differ
+/// by little, far from zero, what they share stands at the axis.
+fn curve(
+    area: &Area<'_>,
+    title: &str,
+    time_name: &str,
+    points: Vec<(f64, f64)>,
+    levels: &[Level],
+) -> Result<()> {
+    let angles = points
+        .iter()
+        .map(|point| point.1)
+        .chain(levels.iter().map(|level| level.angle_rad));
+    let (low, high) = angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), angle| {
+        (low.min(angle), high.max(angle))
+    });
+    let span = (high - low).max(1e-9);
+    let shared = if low.abs().max(high.abs()) > 1e4 * span {
+        let unit = 10_f64.powf(span.log10().ceil() + 1.0);
+        (low / unit).round() * unit
+    } else {
+        0.0
+    };
+    let name = match shared {
+        0.0 => "angle, rad".to_owned(),
+        _ if shared < 0.0 => format!("angle + {}, rad", digits(-shared, 12)),
+        _ => format!("angle − {}, rad", digits(shared, 12)),
+    };
+    let margin = 0.06 * span;
+    // Room for the legend above the curve.
+    let head = if levels.is_empty() {
+        margin
+    } else {
+        4.0 * margin
+    };
+    let angles = low - shared - margin..high - shared + head;
+    let start = points.first().map_or(0.0, |point| point.0);
+    let end = points.last().map_or(1.0, |point| point.0).max(start + 1e-9);
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, letters(TITLE, BLACK))
+        .margin(12)
+        .x_label_area_size(46)
+        .y_label_area_size(78)
+        .build_cartesian_2d(start..end, angles.clone())
+        .map_err(trouble)?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(FAINT)
+        .x_desc(time_name)
+        .y_desc(name)
+        .label_style(letters(SMALL, BLACK))
+        .axis_desc_style(letters(LABEL, BLACK))
+        .y_label_formatter(&|angle| tick(*angle, angles.end - angles.start))
+        .x_label_formatter(&|time| tick(*time, end - start))
+        .draw()
+        .map_err(trouble)?;
+    let points = points
+        .into_iter()
+        .map(|(time, angle)| (time, angle - shared));
+    chart
+        .draw_series(LineSeries::new(points, BLUE.stroke_width(2)))
+        .map_err(trouble)?
+        .label("angle")
+        .legend(|(x, y)| PathElement::new([(x, y), (x + 22, y)], BLUE.stroke_width(2)));
+    for level in levels {
+        let angle = level.angle_rad - shared;
+        let style = level.colour.stroke_width(2);
+        let dashes = DashedLineSeries::new([(start, angle), (end, angle)], 6, 4, style);
+        let series = chart.draw_series(dashes).map_err(trouble)?;
+        if let Some(name) = level.name {
+            series
+                .label(name)
+                .legend(move |(x, y)| DashedPathElement::new([(x, y), (x + 22, y)], 6, 4, style));
         }
-        if edges.is_empty() {
-            return Ok(());
-        }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.85))
-            .border_style(FAINT)
-            .label_font(letters(SMALL, BLACK))
-            .draw()
-            .map_err(trouble)?;
-        Ok(())
     }
+    if levels.is_empty() {
+        return Ok(());
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .background_style(WHITE.mix(0.85))
+        .border_style(FAINT)
+        .label_font(letters(SMALL, BLACK))
+        .draw()
+        .map_err(trouble)?;
+    Ok(())
 }
 
 #[cfg(test)]

@@ -3,7 +3,10 @@
 
 use anyhow::{Result, anyhow};
 use plotters::coord::Shift;
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
+
+use crate::number::digits;
 
 pub const BLUE: RGBColor = RGBColor(0, 114, 178);
 pub const SKY: RGBColor = RGBColor(86, 180, 233);
@@ -36,6 +39,31 @@ pub fn page(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Result<()>) -> Res
         area.present().map_err(trouble)?;
     }
     Ok(svg)
+}
+
+/// A line as a legend shows it, from `at` to the right.
+pub fn line_sample(area: &Area<'_>, at: (i32, i32), colour: RGBColor, dashed: bool) -> Result<()> {
+    let (x, y) = at;
+    let ends = [(x, y), (x + 37, y)];
+    let style = colour.stroke_width(2);
+    if dashed {
+        area.draw(&DashedPathElement::new(ends, 9, 5, style))
+    } else {
+        area.draw(&PathElement::new(ends, style))
+    }
+    .map_err(trouble)
+}
+
+/// A number at an axis that spans `span`: as many digits as tell its neighbours apart.
+pub fn tick(value: f64, span: f64) -> String {
+    // What is left of a zero after rounding.
+    if value.abs() < 1e-6 * span {
+        return "0".into();
+    }
+    // An axis has about ten steps, of one digit, or a half of one.
+    let decimals = (20.0 / span).log10().ceil();
+    let significant = value.abs().log10().floor() + decimals + 1.0;
+    digits(value, significant.clamp(1.0, 17.0) as usize)
 }
 
 /// A drawing error, as this program's.
@@ -75,29 +103,33 @@ pub fn clip(
     ])
 }
 
-/// A number in few letters: 0.018, 12.3, 4.1e-6.
-pub fn short(number: f64) -> String {
-    let size = number.abs();
-    // Below what any axis here resolves: what is left of a zero after rounding.
-    if size < 1e-12 {
-        return "0".into();
-    }
-    let text = if (1e-3..1e5).contains(&size) {
-        let decimals = (2 - size.log10().floor() as i32).clamp(0, 6);
-        format!("{number:.*}", decimals as usize)
-    } else {
-        return format!("{number:.2e}");
-    };
-    if text.contains('.') {
-        text.trim_end_matches('0').trim_end_matches('.').to_owned()
-    } else {
-        text
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn neighbours_at_an_axis_read_differently() {
+        let ticks = |from: f64, step: f64| -> Vec<String> {
+            let values = (0..10).map(|i| from + f64::from(i) * step);
+            values.map(|value| tick(value, 9.9 * step)).collect()
+        };
+        for (from, step) in [
+            (199.94, 0.01),
+            (100.0, 1e-4),
+            (0.0, 0.2),
+            (-0.5, 0.1),
+            (0.0, 5e-5),
+            (0.0, 2e5),
+            (-1e-9, 2e-10),
+        ] {
+            let mut texts = ticks(from, step);
+            assert!(texts.iter().all(|text| text.len() <= 9), "{texts:?}");
+            texts.dedup();
+            assert_eq!(texts.len(), 10, "{texts:?}");
+        }
+        assert_eq!(ticks(199.94, 0.02)[..3], ["199.94", "199.96", "199.98"]);
+        assert_eq!(ticks(-0.1, 0.1)[..3], ["-0.1", "0", "0.1"]);
+    }
 
     #[test]
     fn lines_are_cut_at_the_frame() {
@@ -107,17 +139,5 @@ mod tests {
         assert_eq!(cut((0.2, 0.2), (0.4, 0.8)), Some([(0.2, 0.2), (0.4, 0.8)]));
         assert_eq!(cut((2.0, 0.0), (3.0, 1.0)), None);
         assert_eq!(cut((0.0, 2.0), (1.0, 2.0)), None);
-    }
-
-    #[test]
-    fn numbers_are_short() {
-        let all = [0.0, 0.018, 1.0, 12.345, 5.2154, 8192.0, 4.1e-6, -0.25];
-        let texts = all.map(short);
-        assert_eq!(
-            texts,
-            [
-                "0", "0.018", "1", "12.3", "5.22", "8192", "4.10e-6", "-0.25"
-            ]
-        );
     }
 }

@@ -12,7 +12,8 @@ use serde::Serialize;
 
 use crate::charts::demo::{Curve, curves};
 use crate::commands::emulate::{Pace, Port, serve};
-use crate::output::Output;
+use crate::output::say_line;
+use crate::output::{Output, publish};
 use crate::session::{ImageChoice, Session};
 use crate::stop::{self, Stopped};
 
@@ -70,7 +71,7 @@ struct Figures {
 pub fn run(args: &Args) -> Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| format!("--out: {}", args.out.display()))?;
     let file = |name: &str| Output::prepare("--out", &args.out.join(name), args.force);
-    let (hit_chart, coarse_chart) = (file("hit.svg")?, file("coarse.svg")?);
+    let (mut hit_chart, mut coarse_chart) = (file("hit.svg")?, file("coarse.svg")?);
     let motor = &PRESETS[0];
     let mut session = args
         .image
@@ -89,7 +90,7 @@ pub fn run(args: &Args) -> Result<()> {
             &figures.clamped_spring.trace[..figures.raw_spring.ticks],
         ),
     ];
-    hit_chart.write(curves(title, &hits)?.as_bytes())?;
+    write!(hit_chart, "{}", curves(title, &hits)?)?;
     let title = "Fig. 6(b): an encoder of 20 counts, the last 60 ms, on the firmware";
     let last = |throw: &Throw| throw.trace[throw.trace.len().saturating_sub(60)..].to_vec();
     let (raw, clamped) = (last(&figures.coarse_raw), last(&figures.coarse_clamped));
@@ -97,14 +98,15 @@ pub fn run(args: &Args) -> Result<()> {
         Curve::new("clamp off (raw): limit cycle", &raw),
         Curve::new("clamp on (static): rest", &clamped),
     ];
-    coarse_chart.write(curves(title, &cycles)?.as_bytes())?;
+    write!(coarse_chart, "{}", curves(title, &cycles)?)?;
     figures.charts = vec![hit_chart.path().to_owned(), coarse_chart.path().to_owned()];
+    publish(vec![hit_chart, coarse_chart])?;
     if args.json {
-        println!("{}", serde_json::to_string(&figures)?);
+        say_line!("{}", serde_json::to_string(&figures)?);
     } else {
-        println!("\nCharts of this run:");
+        say_line!("\nCharts of this run:");
         for chart in &figures.charts {
-            println!("  {}", chart.display());
+            say_line!("  {}", chart.display());
         }
     }
     if args.hold {
@@ -133,10 +135,11 @@ struct Story<'a> {
 }
 
 impl Story<'_> {
-    fn say(&self, text: &str) {
+    fn say(&self, text: &str) -> Result<()> {
         if !self.quiet {
-            println!("{text}");
+            say_line!("{text}");
         }
+        Ok(())
     }
 
     fn tell(&mut self) -> Result<Figures> {
@@ -163,7 +166,7 @@ impl Story<'_> {
              \n\
              This device is passive at every speed up to 2b/T = {:.3} Nm/rad.",
             criterion.largest_stiffness()
-        ));
+        ))?;
 
         let wall = Changes {
             shape: Some(Shape::Wall),
@@ -177,7 +180,7 @@ impl Story<'_> {
             soft_wall.peak_angle_rad,
             yes(soft_wall.at_rest),
             soft_wall.energy_ratio
-        ));
+        ))?;
 
         let raw_spring = self.throw(law(Law::Raw, 1.0), 0.0, 7.0, 80)?;
         self.say(&format!(
@@ -185,14 +188,14 @@ impl Story<'_> {
             1.0 / criterion.largest_stiffness(),
             raw_spring.ticks,
             raw_spring.energy_ratio
-        ));
+        ))?;
         let clamped_spring = self.throw(law(Law::Static, 1.0), 0.0, 7.0, 1500)?;
         self.say(&format!(
             "   The same with the clamp on: {:.4} Nm/rad are applied, energy never exceeded {:.2} of the start's, at rest: {}.",
             clamped_spring.stiffness_applied_nm_rad,
             clamped_spring.energy_ratio,
             yes(clamped_spring.at_rest)
-        ));
+        ))?;
 
         // 8192 by 410: 19.98 counts a revolution.
         let coarse = |which| Changes {
@@ -204,13 +207,13 @@ impl Story<'_> {
             "\n3. The encoder decimated to 20 counts, 0.015 Nm/rad, region (c), clamp off: at rest after 1.5 s: {}.\n   A limit cycle of {:.1e} rad: friction c is less than half a count of torque, KΔ/2.",
             yes(coarse_raw.at_rest),
             swing(&coarse_raw.trace)
-        ));
+        ))?;
         let coarse_clamped = self.throw(coarse(Law::Static), 0.0, 12.0, 1500)?;
         self.say(&format!(
             "   With the clamp on: {:.4} Nm/rad, the encoder's limit 2c/Δ, are applied; at rest: {}.",
             coarse_clamped.stiffness_applied_nm_rad,
             yes(coarse_clamped.at_rest)
-        ));
+        ))?;
 
         self.session.must(Request::Disarm)?;
         let slow = Changes {
@@ -232,7 +235,7 @@ impl Story<'_> {
                 )),
                 other => bail!("{other:?} in answer to a period that is too long"),
             })?;
-        self.say(&format!("\n4. A sample period of 50 ms is refused, and the stiffness sent with it not taken:\n   {refused}."));
+        self.say(&format!("\n4. A sample period of 50 ms is refused, and the stiffness sent with it not taken:\n   {refused}."))?;
         let ticks = self.session.ask(Request::Status, |message| match message {
             Message::Status(status) => Ok(status.tick),
             other => bail!("{other:?} in answer to status"),

@@ -13,9 +13,11 @@ use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
-use crate::output::Output;
+use crate::output::say_line;
+use crate::output::{Output, publish_after_stop};
 use crate::scene;
 use crate::session::{ImageChoice, Session};
+use crate::stop::Ended;
 use crate::{emulators, stop};
 
 /// Run the firmware in the emulator, in lockstep with the exact plant, until Ctrl-C.
@@ -85,31 +87,25 @@ pub fn run(args: &Args) -> Result<()> {
     session.bench.plant.let_go(start.velocity);
     let mut port = Port::open(args.port_link.as_deref())?;
     if args.json {
-        println!("{}", serde_json::json!({ "port": port.path }));
+        say_line!("{}", serde_json::json!({ "port": port.path }));
     } else {
-        println!("port {}", port.path.display());
+        say_line!("port {}", port.path.display());
         eprintln!("the firmware runs; try `knob info` in another terminal; Ctrl-C ends it");
     }
-    let mut draft = match &record {
-        Some(output) => {
-            let mut draft = output.draft()?;
-            writeln!(draft, "time_s,angle_rad,velocity_rad_s,torque_nm")?;
-            Some(draft)
-        }
-        None => None,
-    };
-    let rows = |time_s: f64, state: State, torque_nm: f32| match &mut draft {
-        Some(draft) => {
+    let mut record = record;
+    if let Some(record) = &mut record {
+        writeln!(record, "time_s,angle_rad,velocity_rad_s,torque_nm")?;
+    }
+    let rows = |time_s: f64, state: State, torque_nm: f32| match &mut record {
+        Some(record) => {
             let State { position, velocity } = state;
-            writeln!(draft, "{time_s},{position},{velocity},{torque_nm}").context("--record")
+            writeln!(record, "{time_s},{position},{velocity},{torque_nm}")
         }
         None => Ok(()),
     };
     serve(&mut session, &mut port, args.pace, stop::requested, rows)?;
-    if let Some(draft) = draft {
-        draft.publish()?;
-    }
-    Ok(())
+    publish_after_stop(record.into_iter().collect())?;
+    Err(Ended.into())
 }
 
 /// Ticks, and carries bytes between the port and the firmware, until it is told to end. `record` sees

@@ -2,14 +2,16 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use plant_sim::map::{Map, Shard, Span};
+use serde::Serialize;
+use serde_json::json;
 
 use super::map::{Rule, Swept, sweep};
 use crate::charts;
 use crate::charts::run::{Envelope, RunChart};
-use crate::output::Output;
-use crate::scene;
+use crate::output::{self, Output};
+use crate::{scene, stop};
 
 /// Draw the paper's Figs. 3 to 6, computed afresh.
 #[derive(clap::Args)]
@@ -18,6 +20,9 @@ pub struct Args {
     /// The folder to write to; it is made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Print one JSON object: the files and what they show
+    #[arg(long)]
+    json: bool,
     /// Replace files that exist
     #[arg(long)]
     force: bool,
@@ -34,22 +39,44 @@ const FIG_6: [(&str, &str); 4] = [
 /// The initial velocities of Fig. 5, counts per sample.
 const FIG_5_V0: [f64; 4] = [2.0, 10.0, 30.0, 100.0];
 
+/// A figure that was drawn.
+#[derive(Serialize)]
+struct Figure {
+    file: PathBuf,
+    shows: String,
+}
+
 pub fn run(args: &Args) -> Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| format!("--out: {}", args.out.display()))?;
-    let file =
-        |name: &str| Output::prepare("--out", &args.out.join(format!("{name}.svg")), args.force);
-    let (regions, arrows) = (file("fig3")?, file("fig4")?);
-    let (unstable, oscillating, panels) = (file("fig5a")?, file("fig5b")?, file("fig5-panels")?);
-    let runs = FIG_6.map(|(name, _)| file(name));
+    let names = ["fig3", "fig4", "fig5a", "fig5b", "fig5-panels"].into_iter();
+    let mut outputs = names
+        .chain(FIG_6.map(|(name, _)| name))
+        .map(|name| Output::prepare("--out", &args.out.join(format!("{name}.svg")), args.force))
+        .collect::<Result<Vec<_>>>()?;
 
-    let write = |output: &Output, svg: String, what: &str| {
-        output.write(svg.as_bytes())?;
-        println!("{:<40} {what}", output.path().display().to_string());
-        anyhow::Ok(())
-    };
-    write(&regions, charts::figures::regions()?, "the four regions")?;
-    write(&arrows, charts::figures::arrows()?, "effect of K, T and Δ")?;
+    let drawings = draw()?;
+    let mut figures = Vec::new();
+    for (output, (svg, shows)) in outputs.iter_mut().zip(drawings) {
+        write!(output, "{svg}")?;
+        let file = output.path().to_owned();
+        figures.push(Figure { file, shows });
+    }
+    output::publish(outputs)?;
+    if args.json {
+        return output::say(&(json!({ "figures": figures }).to_string() + "\n"));
+    }
+    let lines = figures.iter().map(|figure| {
+        format!(
+            "{:<40} {}\n",
+            figure.file.display().to_string(),
+            figure.shows
+        )
+    });
+    output::say(&lines.collect::<String>())
+}
 
+/// All figures and what they show.
+fn draw() -> Result<Vec<(String, String)>> {
     let map = Map::new(50.0, 50_000, 100, Span::UNIT, Span::UNIT, FIG_5_V0.into())?;
     let swept = Swept {
         classes: sweep(&map, Shard::WHOLE)?,
@@ -57,23 +84,23 @@ pub fn run(args: &Args) -> Result<()> {
         v0: FIG_5_V0.iter().map(f64::to_string).collect(),
         rule: Rule::Window,
     };
-    write(
-        &unstable,
-        charts::figures::unstable(&swept)?,
-        "unstable displays, predicted and computed",
-    )?;
-    write(
-        &oscillating,
-        charts::figures::oscillating(&swept)?,
-        "oscillating displays, by both rules",
-    )?;
-    write(
-        &panels,
-        charts::map::panels(&swept)?,
-        "all classes, one panel per initial velocity",
-    )?;
-
-    for ((name, text), output) in FIG_6.into_iter().zip(runs) {
+    let mut drawings = vec![
+        (charts::figures::regions()?, "the four regions".into()),
+        (charts::figures::arrows()?, "effect of K, T and Δ".into()),
+        (
+            charts::figures::unstable(&swept)?,
+            "unstable displays, predicted and computed".into(),
+        ),
+        (
+            charts::figures::oscillating(&swept)?,
+            "oscillating displays, by both rules".into(),
+        ),
+        (
+            charts::map::panels(&swept)?,
+            "all classes, one panel per initial velocity".into(),
+        ),
+    ];
+    for (name, text) in FIG_6 {
         let scene = scene::parse(text).with_context(|| format!("scenes/{name}.toml"))?;
         let mut envelope = Envelope::new();
         let report = scene.run(|sample| {
@@ -81,14 +108,12 @@ pub fn run(args: &Args) -> Result<()> {
                 sample.number as f64 * scene.config.period_s,
                 sample.state.position,
             );
-            true
+            !stop::requested()
         })?;
-        if report.samples == 0 {
-            bail!("scenes/{name}.toml runs no sample");
-        }
+        stop::check()?;
         let chart = RunChart::new(name, &scene, &report, &envelope)?;
-        let what = format!("testbed: {} after {} samples", report.class, report.samples);
-        write(&output?, chart.svg()?, &what)?;
+        let shows = format!("testbed: {} after {} samples", report.class, report.samples);
+        drawings.push((chart.svg()?, shows));
     }
-    Ok(())
+    Ok(drawings)
 }

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use protocol::{Name, Parameters};
 
+use crate::output::say_line;
 use crate::parameters::{self, Named, value};
 use crate::ports::Connection;
 
@@ -38,16 +39,17 @@ pub fn run(args: &Args) -> Result<()> {
             all: &all,
             names: &once,
         };
-        println!("{}", serde_json::to_string(&named)?);
+        say_line!("{}", serde_json::to_string(&named)?);
     } else {
-        print(&all, names);
+        print(&all, names)?;
     }
     Ok(())
 }
 
 /// One NAME=VALUE a line.
-pub fn print(all: &Parameters, names: &[Name]) {
+pub fn print(all: &Parameters, names: &[Name]) -> Result<()> {
     for name in names {
-        println!("{}={}", name.as_str(), value(all, *name));
+        say_line!("{}={}", name.as_str(), value(all, *name));
     }
+    Ok(())
 }

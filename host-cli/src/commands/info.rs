@@ -4,6 +4,7 @@ use anyhow::Result;
 use protocol::State;
 use serde::Serialize;
 
+use crate::output::say_line;
 use crate::ports::Connection;
 use crate::words;
 
@@ -51,20 +52,23 @@ pub fn run(args: &Args) -> Result<()> {
             dropped: status.dropped,
             bad_frames: status.bad_frames,
         };
-        println!("{}", serde_json::to_string(&json)?);
+        say_line!("{}", serde_json::to_string(&json)?);
         return Ok(());
     }
-    println!("port         {}", device.path());
-    println!("board        {}", identity.board);
-    println!(
+    say_line!("port         {}", device.path());
+    say_line!("board        {}", identity.board);
+    say_line!(
         "firmware     {} ({}), protocol {}",
-        identity.firmware, identity.git_hash, identity.version
+        identity.firmware,
+        identity.git_hash,
+        identity.version
     );
-    println!("state        {}", words::state_in_full(status.state));
-    println!("tick         {}", status.tick);
-    println!(
+    say_line!("state        {}", words::state_in_full(status.state));
+    say_line!("tick         {}", status.tick);
+    say_line!(
         "lost         {} messages found no room, {} frames could not be read",
-        status.dropped, status.bad_frames
+        status.dropped,
+        status.bad_frames
     );
     Ok(())
 }

@@ -1,16 +1,16 @@
 //! `knob log`: what every tick, or every Nth, did, as CSV.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use protocol::{ClampReason, Event, Fields, Subscription, Telemetry};
 use serde::Serialize;
 
 use crate::device::{Device, Unasked};
-use crate::output::{Draft, Output};
+use crate::output::say_line;
+use crate::output::{Output, publish};
 use crate::parameters::short;
 use crate::ports::Connection;
 use crate::{number, progress, words};
@@ -50,7 +50,6 @@ pub fn run(args: &Args) -> Result<()> {
     let period_s = f64::from(device.parameters()?.sample_period_s);
     let before = device.status()?;
     let mut log = Log {
-        draft: output.draft()?,
         every: u32::from(args.every),
         ticks: (args.seconds / period_s).round().max(1.0) as u64,
         elapsed: 0,
@@ -60,6 +59,7 @@ pub fn run(args: &Args) -> Result<()> {
             file: output.path().display().to_string(),
             ..Summary::default()
         },
+        output,
     };
     log.line(format_args!("{HEADER}"))?;
     let damaged = device.damaged();
@@ -76,11 +76,11 @@ pub fn run(args: &Args) -> Result<()> {
         Ok(after) => log.summary.dropped = after.dropped.wrapping_sub(before.dropped),
         Err(error) => eprintln!("the log is whole, but the device goes on sending: {error:#}"),
     }
-    log.draft.publish()?;
+    publish(vec![log.output])?;
     if args.connection.json {
-        println!("{}", serde_json::to_string(&log.summary)?);
+        say_line!("{}", serde_json::to_string(&log.summary)?);
     } else {
-        log.summary.print();
+        log.summary.print()?;
     }
     Ok(())
 }
@@ -117,30 +117,33 @@ struct FaultJson {
 }
 
 impl Summary {
-    fn print(&self) {
-        println!("wrote        {}", self.file);
-        println!(
+    fn print(&self) -> Result<()> {
+        say_line!("wrote        {}", self.file);
+        say_line!(
             "rows         {}, ticks {} to {}",
             self.rows,
             self.first_tick.unwrap_or_default(),
             self.last_tick.unwrap_or_default()
         );
-        println!("gaps         {}, {} rows missing", self.gaps, self.missing);
-        println!(
+        say_line!("gaps         {}, {} rows missing", self.gaps, self.missing);
+        say_line!(
             "lost         {} messages found no room in the device, {} did not come, {} frames came damaged",
-            self.dropped, self.lost, self.damaged_frames
+            self.dropped,
+            self.lost,
+            self.damaged_frames
         );
         if self.dropped > 0 {
-            println!("             the line cannot carry all: a larger --every drops fewer");
+            say_line!("             the line cannot carry all: a larger --every drops fewer");
         }
         for reason in REASONS {
             if let Some(rows) = self.reasons.get(words::clamp_code(reason)) {
-                println!("clamp        {}: {rows} rows", words::clamp(reason));
+                say_line!("clamp        {}: {rows} rows", words::clamp(reason));
             }
         }
         for fault in &self.faults {
-            println!("fault        tick {}: {}", fault.tick, fault.fault_text);
+            say_line!("fault        tick {}: {}", fault.tick, fault.fault_text);
         }
+        Ok(())
     }
 }
 
@@ -155,7 +158,7 @@ const REASONS: [ClampReason; 6] = [
 
 /// A log that is being written.
 struct Log {
-    draft: Draft,
+    output: Output,
     every: u32,
     /// How long it is to be, ticks.
     ticks: u64,
@@ -169,7 +172,7 @@ struct Log {
 
 impl Log {
     fn line(&mut self, line: std::fmt::Arguments<'_>) -> Result<()> {
-        writeln!(self.draft, "{line}").context("cannot write the log")
+        writeln!(self.output, "{line}")
     }
 
     /// Takes rows until there are enough. `start`, `dropped`: as before the subscription.

@@ -1,17 +1,20 @@
 //! `knob map`: the outcome over the (β, σ) plane, Fig. 5 of the paper.
 
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use plant_sim::kernel::InstructionSet;
-use plant_sim::map::{Map, Shard, Span, describing_function};
+use plant_sim::map::{Map, MapError, Shard, Span, describing_function};
 use plant_sim::outcome::{Class, Classes};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Map as Object, Value, json};
 
 use crate::charts;
-use crate::output::Output;
+use crate::output::{self, Output};
 use crate::stop::{self, Stopped, Usage};
 use crate::{number, progress};
 
@@ -19,7 +22,8 @@ use crate::{number, progress};
 ///
 /// From ξ(0) = 0 with each initial velocity, one panel per velocity. Writes NAME.svg, NAME.csv
 /// and NAME.json. Both rules are computed; --rule picks the one that is drawn and
-/// stands under `classes`.
+/// stands under `classes`, in codes: 0 rest, 1 limit cycle, 2 unstable, and 3 undecided, which
+/// only the window rule says, of a run of fewer than 8000 samples.
 #[derive(clap::Args)]
 #[command(
     allow_negative_numbers = true,
@@ -36,7 +40,7 @@ pub struct Args {
     /// Cells along each side
     #[arg(long, value_parser = number::count, required_unless_present = "merge")]
     grid: Option<u64>,
-    /// Samples per run; the window rule needs 8000
+    /// Samples per run; the window rule needs 8000, and says 3 (undecided) of fewer
     #[arg(long, value_parser = number::count, required_unless_present = "merge")]
     samples: Option<u64>,
     /// The rule that is drawn and stands under `classes`
@@ -99,7 +103,8 @@ fn velocity(text: &str) -> Result<String, String> {
 fn span(text: &str) -> Result<Span, String> {
     let wrong = || format!("`{text}` is not a range; accepted: A..B with 0 ≤ A < B, such as 0..1");
     let (from, to) = text.split_once("..").ok_or_else(wrong)?;
-    Span::new(number::finite(from)?, number::finite(to)?).ok_or_else(wrong)
+    let (from, to) = (number::finite(from)?, number::not_negative(to)?);
+    Span::new(from, to).ok_or_else(wrong)
 }
 
 fn shard(text: &str) -> Result<Shard, String> {
@@ -125,7 +130,7 @@ pub fn run(args: &Args) -> Result<()> {
     if !args.merge.is_empty() {
         let files = prepare_whole(args)?;
         let (plan, classes) = merge(&args.merge)?;
-        return finish(args, &files, &plan.swept(classes, args.rule)?);
+        return finish(args, files, &plan.swept(classes, args.rule)?);
     }
     let (Some(mu), Some(grid), Some(samples)) = (args.mu, args.grid, args.samples) else {
         return Err(
@@ -153,13 +158,21 @@ pub fn run(args: &Args) -> Result<()> {
         sigma: [sigma.from(), sigma.to()],
         v0,
     };
-    let map = plan.map().map_err(|error| Usage(format!("{error:#}")))?;
+    let map = plan.map().map_err(|error| {
+        let flags = match error.downcast_ref() {
+            Some(MapError::Grid(_)) => "--grid",
+            Some(MapError::Samples) => "--samples",
+            Some(MapError::NoVelocity | MapError::Velocity(_)) => "--v0",
+            Some(MapError::Display(_)) | None => "--mu, --beta, --sigma",
+        };
+        Usage(format!("{flags}: {error:#}"))
+    })?;
     if let Some(shard) = args.shard {
         return run_shard(args, &plan, &map, shard);
     }
     let files = prepare_whole(args)?;
     let classes = sweep(&map, Shard::WHOLE)?;
-    finish(args, &files, &plan.swept(classes, args.rule)?)
+    finish(args, files, &plan.swept(classes, args.rule)?)
 }
 
 /// Sweeps with a bar, and says how long it took.
@@ -171,7 +184,9 @@ pub fn sweep(map: &Map, shard: Shard) -> Result<Vec<Classes>> {
     let classes = map.sweep(shard, set, stop::flag(), &|settled| bar.inc(settled));
     bar.finish_and_clear();
     let classes = classes.ok_or(Stopped)?;
-    eprintln!(
+    // A log that nobody takes is no failure.
+    let _ = writeln!(
+        io::stderr(),
         "{cells} runs in {:.2} s ({})",
         began.elapsed().as_secs_f64(),
         set.name()
@@ -250,7 +265,8 @@ fn class(digit: u8) -> Option<Class> {
 }
 
 fn run_shard(args: &Args, plan: &Plan, map: &Map, shard: Shard) -> Result<()> {
-    let file = match &args.out {
+    fits(shard, map).map_err(|error| Usage(format!("--shard: {error}")))?;
+    let mut file = match &args.out {
         Some(name) => Some(Output::prepare(
             "--out",
             &with_ending(name, "json"),
@@ -277,26 +293,39 @@ fn run_shard(args: &Args, plan: &Plan, map: &Map, shard: Shard) -> Result<()> {
         paper: digits(Rule::Paper),
     };
     let text = serde_json::to_string(&part)?;
-    if let Some(file) = &file {
-        file.write(text.as_bytes())?;
+    let mut said = text.clone() + "\n";
+    if let Some(file) = &mut file {
+        write!(file, "{text}")?;
+        if !args.json {
+            said = format!(
+                "wrote {}: part {} of {}\n",
+                file.path().display(),
+                shard.number(),
+                shard.of()
+            );
+        }
     }
-    if args.json {
-        println!("{text}");
-    } else if let Some(file) = &file {
-        println!(
-            "wrote {}: part {} of {}",
-            file.path().display(),
-            shard.number(),
-            shard.of()
-        );
+    output::publish(file.into_iter().collect())?;
+    output::say(&said)
+}
+
+/// Every part of a map holds a cell.
+fn fits(shard: Shard, map: &Map) -> Result<(), String> {
+    let (number, of, cells) = (shard.number(), shard.of(), map.cells());
+    if of <= cells {
+        Ok(())
+    } else {
+        Err(format!(
+            "{number}/{of}: more parts than the map's {cells} cells; accepted: I/N with N up to {cells}"
+        ))
     }
-    Ok(())
 }
 
 /// Reads the parts, makes sure that they are all parts of one map, and puts them together.
 fn merge(paths: &[PathBuf]) -> Result<(Plan, Vec<Classes>)> {
     let mut whole: Option<(Plan, usize, Vec<Option<Classes>>)> = None;
     for path in paths {
+        stop::check()?;
         let place = || format!("--merge: {}", path.display());
         let text = std::fs::read_to_string(path).with_context(place)?;
         let part: Part = serde_json::from_str(&text).with_context(place)?;
@@ -329,17 +358,17 @@ fn merge(paths: &[PathBuf]) -> Result<(Plan, Vec<Classes>)> {
     let Some((plan, of, cells)) = whole else {
         bail!("--merge: no parts");
     };
-    let missing = |number: &usize| {
-        Shard::new(*number, of).is_some_and(|s| s.cells(cells.len()).any(|c| cells[c].is_none()))
-    };
-    let missing: Vec<String> = (1..=of)
-        .filter(missing)
-        .map(|number| number.to_string())
-        .collect();
+    let empty = cells.iter().enumerate().filter(|(_, c)| c.is_none());
+    let missing: BTreeSet<usize> = empty.map(|(cell, _)| cell % of + 1).collect();
     if !missing.is_empty() {
+        let first: Vec<String> = missing.iter().take(20).map(usize::to_string).collect();
+        let more = match missing.len() - first.len() {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
         bail!(
-            "--merge: of {of} parts these are missing: {}",
-            missing.join(", ")
+            "--merge: of {of} parts these are missing: {}{more}",
+            first.join(", ")
         );
     }
     Ok((plan, cells.into_iter().flatten().collect()))
@@ -350,7 +379,9 @@ impl Part {
         let [number, of] = self.shard;
         let shard =
             Shard::new(number, of).with_context(|| format!("shard {number}/{of} is none"))?;
-        let cells = shard.cells(self.map.map()?.cells()).count();
+        let map = self.map.map()?;
+        fits(shard, &map).map_err(anyhow::Error::msg)?;
+        let cells = shard.cells(map.cells()).count();
         if (self.window.len(), self.paper.len()) != (cells, cells) {
             bail!(
                 "{} and {} cells where {cells} belong",
@@ -398,27 +429,26 @@ fn with_ending(name: &Path, ending: &str) -> PathBuf {
     path.into()
 }
 
-fn finish(args: &Args, files: &Option<Files>, swept: &Swept) -> Result<()> {
-    let json = serde_json::to_string(&swept.json()?)?;
-    if let Some(files) = files {
-        files.svg.write(charts::map::panels(swept)?.as_bytes())?;
-        files.csv.write(swept.csv().as_bytes())?;
-        files.json.write(json.as_bytes())?;
-    }
-    if args.json {
-        println!("{json}");
-        return Ok(());
-    }
-    swept.print();
+fn finish(args: &Args, files: Option<Files>, swept: &Swept) -> Result<()> {
+    let panels = (0..swept.v0.len()).map(|panel| swept.counts(panel));
+    let panels = panels.collect::<Result<Vec<Counts>, Stopped>>()?;
+    let json = swept.json(&panels)?;
+    let mut text = swept.describe(&panels)?;
     match files {
-        Some(files) => {
-            for file in [&files.svg, &files.csv, &files.json] {
-                println!("wrote {}", file.path().display());
+        Some(mut files) => {
+            write!(files.svg, "{}", charts::map::panels(swept)?)?;
+            swept.write_csv(&mut files.csv)?;
+            write!(files.json, "{json}")?;
+            let files = vec![files.svg, files.csv, files.json];
+            for file in &files {
+                writeln!(text, "wrote {}", file.path().display())?;
             }
+            output::publish(files)?;
         }
-        None => println!("add --out NAME to write NAME.svg, NAME.csv and NAME.json"),
+        None => text += "add --out NAME to write NAME.svg, NAME.csv and NAME.json\n",
     }
-    Ok(())
+    stop::check()?;
+    output::say(&if args.json { json + "\n" } else { text })
 }
 
 /// How many cells of a panel went which way.
@@ -443,135 +473,171 @@ struct Predictions {
     describing_function_false: usize,
 }
 
+/// What is counted in a panel.
+#[derive(Default)]
+struct Counts {
+    window: Tally,
+    paper: Tally,
+    predictions: Predictions,
+}
+
+impl Tally {
+    fn enter(&mut self, class: Class) {
+        *match class {
+            Class::Rest => &mut self.rest,
+            Class::LimitCycle => &mut self.limit_cycle,
+            Class::Unstable => &mut self.unstable,
+            Class::Undecided => &mut self.undecided,
+        } += 1;
+    }
+}
+
+/// The codes of one panel, row by row.
+struct Rows<'a> {
+    swept: &'a Swept,
+    panel: usize,
+}
+
+impl Serialize for Rows<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.swept.rows(self.panel).map(|(_, row)| {
+            let codes = row.iter().map(|c| code(self.swept.rule.of(*c)));
+            codes.collect::<Vec<u8>>()
+        }))
+    }
+}
+
 impl Swept {
-    fn panel(&self, panel: usize) -> impl Iterator<Item = (usize, Classes)> {
-        let cells = self.map.grid() * self.map.grid();
-        (panel * cells..(panel + 1) * cells).map(|cell| (cell, self.classes[cell]))
-    }
-
-    fn tally(&self, panel: usize, rule: Rule) -> Tally {
-        let mut tally = Tally::default();
-        for (_, classes) in self.panel(panel) {
-            *match rule.of(classes) {
-                Class::Rest => &mut tally.rest,
-                Class::LimitCycle => &mut tally.limit_cycle,
-                Class::Unstable => &mut tally.unstable,
-                Class::Undecided => &mut tally.undecided,
-            } += 1;
-        }
-        tally
-    }
-
-    fn predictions(&self, panel: usize) -> Predictions {
-        let mut predictions = Predictions::default();
-        for (cell, classes) in self.panel(panel) {
-            let (point, v0) = self.map.point(cell);
-            let unstable = classes.window == Class::Unstable;
-            match (point.holds_at(v0), unstable) {
-                (true, true) => predictions.criterion_missed += 1,
-                (false, false) => predictions.criterion_false += 1,
-                _ => {}
-            }
-            match (
-                describing_function(point.beta, point.sigma, v0) < 0.5,
-                unstable,
-            ) {
-                (false, true) => predictions.describing_function_missed += 1,
-                (true, false) => predictions.describing_function_false += 1,
-                _ => {}
-            }
-        }
-        predictions
-    }
-
-    fn json(&self) -> Result<Value> {
+    /// The rows of a panel: the number of the first cell of each, and the classes. They end
+    /// early where the user asks to stop.
+    fn rows(&self, panel: usize) -> impl Iterator<Item = (usize, &[Classes])> {
         let grid = self.map.grid();
-        let mut classes = Object::new();
-        let mut cells = Object::new();
-        let mut predictions = Object::new();
-        for (panel, text) in self.v0.iter().enumerate() {
-            let codes: Vec<u8> = self
-                .panel(panel)
-                .map(|(_, c)| code(self.rule.of(c)))
-                .collect();
-            let rows: Vec<&[u8]> = codes.chunks(grid).collect();
-            classes.insert(text.clone(), json!(rows));
-            let both = json!({
-                "window": self.tally(panel, Rule::Window),
-                "paper": self.tally(panel, Rule::Paper),
-            });
-            cells.insert(text.clone(), both);
-            predictions.insert(text.clone(), json!(self.predictions(panel)));
+        let rows = self.classes.chunks(grid).enumerate();
+        rows.skip(panel * grid)
+            .take(grid)
+            .take_while(|_| !stop::requested())
+            .map(move |(row, classes)| (row * grid, classes))
+    }
+
+    fn counts(&self, panel: usize) -> Result<Counts, Stopped> {
+        let mut counts = Counts::default();
+        for (first, row) in self.rows(panel) {
+            for (cell, classes) in (first..).zip(row) {
+                counts.window.enter(classes.window);
+                counts.paper.enter(classes.paper);
+                self.compare(cell, *classes, &mut counts.predictions);
+            }
         }
+        stop::check()?;
+        Ok(counts)
+    }
+
+    fn compare(&self, cell: usize, classes: Classes, predictions: &mut Predictions) {
+        let (point, v0) = self.map.point(cell);
+        let unstable = classes.window == Class::Unstable;
+        match (point.holds_at(v0), unstable) {
+            (true, true) => predictions.criterion_missed += 1,
+            (false, false) => predictions.criterion_false += 1,
+            _ => {}
+        }
+        let growth = describing_function(point.beta, point.sigma, v0) < 0.5;
+        match (growth, unstable) {
+            (false, true) => predictions.describing_function_missed += 1,
+            (true, false) => predictions.describing_function_false += 1,
+            _ => {}
+        }
+    }
+
+    fn json(&self, panels: &[Counts]) -> Result<String> {
+        let map = &self.map;
         // As numbers, whole ones without a point, so that they read as they were written.
-        let v0: Vec<Value> = self
-            .v0
-            .iter()
-            .zip(self.map.v0())
+        let written = self.v0.iter().zip(map.v0());
+        let v0: Vec<Value> = written
             .map(|(text, value)| match text.parse::<i64>() {
                 Ok(whole) => json!(whole),
                 Err(_) => json!(value),
             })
             .collect();
-        let plan = self.map.point(0).0;
-        Ok(json!({
-            "mu": plan.mu,
-            "samples": self.map.samples(),
-            "grid": grid,
+        let named = || self.v0.iter().zip(panels);
+        let cells: Object<String, Value> = named()
+            .map(|(text, c)| {
+                let both = json!({ "window": c.window, "paper": c.paper });
+                (text.clone(), both)
+            })
+            .collect();
+        let predictions: Object<String, Value> = named()
+            .map(|(text, c)| (text.clone(), json!(c.predictions)))
+            .collect();
+        let head = json!({
+            "mu": map.point(0).0.mu,
+            "samples": map.samples(),
+            "grid": map.grid(),
             "rule": self.rule.name(),
-            "beta": [self.map.beta().from(), self.map.beta().to()],
-            "sigma": [self.map.sigma().from(), self.map.sigma().to()],
+            "beta": [map.beta().from(), map.beta().to()],
+            "sigma": [map.sigma().from(), map.sigma().to()],
             "v0": v0,
             "cells": cells,
             "predictions": predictions,
-            "classes": classes,
-        }))
+        });
+        let classes: BTreeMap<&str, Rows<'_>> = (self.v0.iter().enumerate())
+            .map(|(panel, text)| (text.as_str(), Rows { swept: self, panel }))
+            .collect();
+        let whole = Whole { head, classes };
+        let text = serde_json::to_string(&whole)?;
+        stop::check()?;
+        Ok(text)
     }
 
-    fn csv(&self) -> String {
-        let mut csv = String::from("v0,beta,sigma,class_window,class_paper\n");
-        for (cell, classes) in self.classes.iter().enumerate() {
-            let (point, _) = self.map.point(cell);
-            let text = &self.v0[self.map.place(cell).0];
-            csv.push_str(&format!(
-                "{text},{},{},{},{}\n",
-                point.beta, point.sigma, classes.window, classes.paper
-            ));
-        }
-        csv
-    }
-
-    fn print(&self) {
-        println!(
-            "           window rule                      paper's rule                     of the unstable, missed by"
-        );
-        println!(
-            "      v₀   rest   cycle  unstable  unclear  rest   cycle  unstable  unclear  (10)  describing function"
-        );
+    fn write_csv(&self, csv: &mut Output) -> Result<()> {
+        writeln!(csv, "v0,beta,sigma,class_window,class_paper")?;
         for (panel, text) in self.v0.iter().enumerate() {
-            let window = self.tally(panel, Rule::Window);
-            let paper = self.tally(panel, Rule::Paper);
-            let predictions = self.predictions(panel);
-            let row = |t: &Tally| {
-                format!(
-                    "{:<6} {:<6} {:<9} {:<8}",
-                    t.rest, t.limit_cycle, t.unstable, t.undecided
-                )
-            };
-            println!(
-                "{text:>8}   {} {} {:<5} {}",
-                row(&window),
-                row(&paper),
-                predictions.criterion_missed,
-                predictions.describing_function_missed
-            );
+            for (first, row) in self.rows(panel) {
+                for (cell, classes) in (first..).zip(row) {
+                    let (point, _) = self.map.point(cell);
+                    writeln!(
+                        csv,
+                        "{text},{},{},{},{}",
+                        point.beta, point.sigma, classes.window, classes.paper
+                    )?;
+                }
+            }
         }
-        if self.rule == Rule::Window && self.map.samples() < plant_sim::outcome::WINDOW_RULE_SAMPLES
-        {
-            println!(
-                "the window rule needs {} samples",
-                plant_sim::outcome::WINDOW_RULE_SAMPLES
-            );
-        }
+        Ok(stop::check()?)
     }
+
+    fn describe(&self, panels: &[Counts]) -> Result<String> {
+        let mut text = String::from(
+            "           window rule                      paper's rule                     of the unstable, missed by\n      \
+             v₀   rest   cycle  unstable  unclear  rest   cycle  unstable  unclear  (10)  describing function\n",
+        );
+        let row = |t: &Tally| {
+            format!(
+                "{:<6} {:<6} {:<9} {:<8}",
+                t.rest, t.limit_cycle, t.unstable, t.undecided
+            )
+        };
+        for (v0, counts) in self.v0.iter().zip(panels) {
+            writeln!(
+                text,
+                "{v0:>8}   {} {} {:<5} {}",
+                row(&counts.window),
+                row(&counts.paper),
+                counts.predictions.criterion_missed,
+                counts.predictions.describing_function_missed
+            )?;
+        }
+        let needed = plant_sim::outcome::WINDOW_RULE_SAMPLES;
+        if self.rule == Rule::Window && self.map.samples() < needed {
+            writeln!(text, "the window rule needs {needed} samples")?;
+        }
+        Ok(text)
+    }
+}
+
+/// What `--json` prints: the classes, which may be many, beside the rest.
+#[derive(Serialize)]
+struct Whole<'a> {
+    #[serde(flatten)]
+    head: Value,
+    classes: BTreeMap<&'a str, Rows<'a>>,
 }

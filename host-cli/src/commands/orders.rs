@@ -5,6 +5,7 @@ use protocol::{Refusal, Request, State};
 use serde::Serialize;
 
 use crate::device::Outcome;
+use crate::output::say_line;
 use crate::ports::Connection;
 use crate::words;
 
@@ -78,11 +79,11 @@ pub fn run(args: &Args, order: Order) -> Result<()> {
             tick,
             state: words::state(state),
         };
-        println!("{}", serde_json::to_string(&json)?);
+        say_line!("{}", serde_json::to_string(&json)?);
     } else if order == Order::Save {
-        println!("saved; the next start begins with these parameters");
+        say_line!("saved; the next start begins with these parameters");
     } else {
-        println!("{} from tick {tick}", words::state_in_full(state));
+        say_line!("{} from tick {tick}", words::state_in_full(state));
     }
     Ok(())
 }

@@ -6,16 +6,19 @@
 //! stiffness" (Sec. VI).
 
 use std::f64::consts::{PI, TAU};
+use std::fmt;
 use std::path::PathBuf;
 
-use anyhow::Result;
-use control::criterion::{Criterion, Dimensionless, Sampling};
+use anyhow::{Context, Result};
+use control::criterion::{Criterion, Dimensionless, Region, Sampling};
 use plant_sim::preset::{PRESETS, Preset, preset};
 use serde::Serialize;
 
 use crate::charts::plan::PlanChart;
-use crate::output::Output;
-use crate::{number, scene};
+use crate::number::{self, digits, short};
+use crate::output::{self, Output};
+use crate::scene;
+use crate::stop::Usage;
 
 /// How stiff can this device be, and what would a wanted stiffness need?
 ///
@@ -85,10 +88,11 @@ pub struct Plan {
 #[derive(Serialize)]
 struct AtSpeed {
     speed_rad_s: f64,
-    /// By (11); also at most 2c/Δ, or it never comes to rest.
-    largest_stiffness_nm_rad: f64,
-    /// Where oscillation is expected to grow; an estimate, not a guarantee.
-    describing_function_nm_rad: f64,
+    /// By (11); also at most 2c/Δ, or it never comes to rest. Null where no stiffness is.
+    largest_stiffness_nm_rad: Option<f64>,
+    /// Where oscillation is expected to grow; an estimate, not a guarantee. Null where its
+    /// assumptions do not hold.
+    describing_function_nm_rad: Option<f64>,
 }
 
 /// A wanted stiffness against this device.
@@ -108,10 +112,11 @@ struct Wanted {
     one_change: Vec<OneChange>,
 }
 
+/// Null where that one cannot do it.
 #[derive(Serialize)]
 struct Everything {
-    sample_period_s_at_most: f64,
-    counts_per_rev_at_least: f64,
+    sample_period_s_at_most: Option<f64>,
+    counts_per_rev_at_least: Option<f64>,
     viscous_nm_s_rad_at_least: f64,
     coulomb_nm_at_least: f64,
 }
@@ -123,15 +128,20 @@ struct OneChange {
     passive_as_it_is: bool,
     sample_period_s_at_most: Option<f64>,
     counts_per_rev_at_least: Option<f64>,
-    viscous_nm_s_rad_at_least: f64,
+    viscous_nm_s_rad_at_least: Option<f64>,
     coulomb_nm_at_least: f64,
 }
 
 pub fn run(args: &Args) -> Result<()> {
-    let plot = match &args.plot {
+    let mut plot = match &args.plot {
         Some(path) => Some(Output::prepare("--plot", path, args.force)?),
         None => None,
     };
+    if let (Some(plot), Some(device)) = (&plot, &args.device)
+        && plot.replaces(device)
+    {
+        return Err(Usage("--plot: this is the device file; give another name".into()).into());
+    }
     let plan = match &args.device {
         Some(path) => {
             let file = scene::load_device(path)?;
@@ -144,7 +154,8 @@ pub fn run(args: &Args) -> Result<()> {
                 period_s: file.period_s,
                 count_rad: file.count_rad(),
             };
-            let criterion = Criterion::new(file.device, sampling)?;
+            let criterion = Criterion::new(file.device, sampling)
+                .with_context(|| path.display().to_string())?;
             Plan::new(name, path.display().to_string(), criterion, args.stiffness)
         }
         None => {
@@ -162,30 +173,33 @@ pub fn run(args: &Args) -> Result<()> {
             )
         }
     };
-    if let Some(output) = &plot {
-        output.write(
-            PlanChart::new(&plan.name, plan.criterion, args.stiffness)
-                .svg()?
-                .as_bytes(),
-        )?;
+    if let Some(output) = &mut plot {
+        let chart = PlanChart::new(&plan.name, plan.criterion, args.stiffness);
+        write!(output, "{}", chart.svg()?)?;
     }
+    output::publish(plot.into_iter().collect())?;
     if args.json {
-        println!("{}", serde_json::to_string(&plan)?);
-        return Ok(());
+        return output::say(&(serde_json::to_string(&plan)? + "\n"));
     }
-    plan.print();
-    if let Some(output) = &plot {
-        println!("\nwrote {}", output.path().display());
+    let mut text = plan.to_string();
+    if let Some(path) = &args.plot {
+        text += &format!("\nwrote {}\n", path.display());
     }
-    Ok(())
+    output::say(&text)
 }
 
 /// The stiffness at which the describing function expects growth at a speed:
 /// β + 4σ/(π v₀) = ½ solved for K, (2/T)(b + 4c/(π v)), Nm/rad.
-pub fn describing_function_stiffness(criterion: &Criterion<f64>, speed_rad_s: f64) -> f64 {
+///
+/// None where that is no estimate: the oscillation must be larger than a count, K ≤ 2c/Δ,
+/// and slower than the sampling, μ ≥ 1/π².
+pub fn describing_function_stiffness(criterion: &Criterion<f64>, speed_rad_s: f64) -> Option<f64> {
     let device = criterion.device();
-    2.0 / criterion.sampling().period_s
-        * (device.viscous_nm_s_rad + 4.0 * device.coulomb_nm / (PI * speed_rad_s))
+    let period = criterion.sampling().period_s;
+    let stiffness =
+        2.0 / period * (device.viscous_nm_s_rad + 4.0 * device.coulomb_nm / (PI * speed_rad_s));
+    let slow_enough = criterion.dimensionless(stiffness).mu >= 1.0 / (PI * PI);
+    (stiffness > 0.0 && stiffness <= criterion.coulomb_limit() && slow_enough).then_some(stiffness)
 }
 
 impl Plan {
@@ -194,9 +208,11 @@ impl Plan {
         let sampling = criterion.sampling();
         let at_speed = SPEEDS_RAD_S.map(|speed_rad_s| AtSpeed {
             speed_rad_s,
-            largest_stiffness_nm_rad: criterion
-                .largest_stiffness_at(speed_rad_s)
-                .min(criterion.coulomb_limit()),
+            largest_stiffness_nm_rad: above_zero(
+                criterion
+                    .largest_stiffness_at(speed_rad_s)
+                    .min(criterion.coulomb_limit()),
+            ),
             describing_function_nm_rad: describing_function_stiffness(&criterion, speed_rad_s),
         });
         Self {
@@ -216,41 +232,71 @@ impl Plan {
             criterion,
         }
     }
+}
 
-    fn print(&self) {
-        println!("{}: {}", self.name, self.source);
-        println!(
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{}: {}", self.name, self.source)?;
+        writeln!(
+            f,
             "  inertia {} kg m², viscous friction {} Nm s/rad, Coulomb friction {} Nm",
-            self.inertia_kg_m2, self.viscous_nm_s_rad, self.coulomb_nm
-        );
-        println!(
-            "  {} counts/rev (Δ = {:.4e} rad), sample period {} s",
-            self.counts_per_rev, self.count_rad, self.sample_period_s
-        );
-        println!("\nHow stiff can it be, Nm/rad?");
-        println!(
-            "  sampling and viscous friction, 2b/T:   {:>10.4}",
-            self.viscous_limit_nm_rad
-        );
-        println!(
-            "  encoder and Coulomb friction, 2c/Δ:    {:>10.4}",
-            self.coulomb_limit_nm_rad
-        );
-        println!(
-            "  passive at every speed (the smaller):  {:>10.4}",
-            self.largest_stiffness_nm_rad
-        );
-        println!("  at a speed:      passive, by (11)   grows from about (an estimate)");
-        for at in &self.at_speed {
-            println!(
-                "  {:>6} rad/s        {:>10.4}          {:>10.4}",
-                at.speed_rad_s, at.largest_stiffness_nm_rad, at.describing_function_nm_rad
-            );
+            short(self.inertia_kg_m2),
+            short(self.viscous_nm_s_rad),
+            short(self.coulomb_nm)
+        )?;
+        writeln!(
+            f,
+            "  {} counts/rev (Δ = {} rad), sample period {} s",
+            digits(self.counts_per_rev, 6),
+            short(self.count_rad),
+            digits(self.sample_period_s, 6)
+        )?;
+        writeln!(f, "\nHow stiff can it be, Nm/rad?")?;
+        let limit = |k: f64| answer((k > 0.0).then_some(k));
+        for (what, k) in [
+            (
+                "sampling and viscous friction, 2b/T: ",
+                self.viscous_limit_nm_rad,
+            ),
+            (
+                "encoder and Coulomb friction, 2c/Δ:  ",
+                self.coulomb_limit_nm_rad,
+            ),
+            (
+                "passive at every speed (the smaller):",
+                self.largest_stiffness_nm_rad,
+            ),
+        ] {
+            writeln!(f, "  {what}  {:>10}", limit(k))?;
         }
-        if let Some(wanted) = &self.wanted {
-            wanted.print(self);
+        writeln!(
+            f,
+            "  at a speed:      passive, by (11)   grows from about (an estimate)"
+        )?;
+        for at in &self.at_speed {
+            writeln!(
+                f,
+                "  {:>6} rad/s        {:>10}          {:>10}",
+                at.speed_rad_s,
+                answer(at.largest_stiffness_nm_rad),
+                answer(at.describing_function_nm_rad)
+            )?;
+        }
+        match &self.wanted {
+            Some(wanted) => wanted.write(f, self),
+            None => Ok(()),
         }
     }
+}
+
+/// A number, or a dash where there is no answer.
+fn answer(number: Option<f64>) -> String {
+    number.map_or("–".into(), |number| digits(number, 4))
+}
+
+/// The number, if it is an answer: neither zero, nor beyond all bounds.
+fn above_zero(number: f64) -> Option<f64> {
+    (number > 0.0 && number.is_finite()).then_some(number)
 }
 
 impl Wanted {
@@ -262,22 +308,22 @@ impl Wanted {
         let point: Dimensionless<f64> = criterion.dimensionless(stiffness);
         let passive = stiffness <= criterion.largest_stiffness();
         let threshold = criterion.power_margin_nm(stiffness, 0.0) / (0.5 * stiffness * period - b);
+        // Beyond 2c/Δ it never comes to rest, whatever the period and the viscous friction.
+        let can_rest = stiffness <= criterion.coulomb_limit();
         let one_change = SPEEDS_RAD_S.map(|v| {
             let period_left = 2.0 * (b * v + c - 0.5 * stiffness * count) / (stiffness * v);
             let count_left = 2.0 * (b * v + c - 0.5 * stiffness * period * v) / stiffness;
             OneChange {
                 speed_rad_s: v,
-                passive_as_it_is: criterion.power_margin_nm(stiffness, v) >= 0.0
-                    && stiffness <= criterion.coulomb_limit(),
-                // Below 2c/Δ only: else it never rests, whatever the period.
-                sample_period_s_at_most: (period_left > 0.0
-                    && stiffness <= criterion.coulomb_limit())
-                .then_some(period_left),
-                counts_per_rev_at_least: (count_left > 0.0)
-                    .then(|| TAU / count_left.min(2.0 * c / stiffness)),
-                viscous_nm_s_rad_at_least: (0.5 * stiffness * period
-                    - (c - 0.5 * stiffness * count) / v)
-                    .max(0.0),
+                passive_as_it_is: criterion.power_margin_nm(stiffness, v) >= 0.0 && can_rest,
+                sample_period_s_at_most: above_zero(period_left).filter(|_| can_rest),
+                counts_per_rev_at_least: above_zero(
+                    TAU / count_left.min(2.0 * c / stiffness).max(0.0),
+                ),
+                viscous_nm_s_rad_at_least: above_zero(
+                    0.5 * stiffness * period - (c - 0.5 * stiffness * count) / v,
+                )
+                .filter(|_| can_rest),
                 coulomb_nm_at_least: (0.5 * stiffness * count + (0.5 * stiffness * period - b) * v)
                     .max(0.5 * stiffness * count),
             }
@@ -289,10 +335,11 @@ impl Wanted {
             sigma: point.sigma,
             region: point.region().letter(),
             passive_at_every_speed: passive,
-            passive_up_to_rad_s: (point.region().letter() == 'd').then_some(threshold),
+            passive_up_to_rad_s: above_zero(threshold)
+                .filter(|_| point.region() == Region::LocallyPassive),
             every_speed: Everything {
-                sample_period_s_at_most: 2.0 * b / stiffness,
-                counts_per_rev_at_least: PI * stiffness / c,
+                sample_period_s_at_most: above_zero(2.0 * b / stiffness),
+                counts_per_rev_at_least: above_zero(PI * stiffness / c),
                 viscous_nm_s_rad_at_least: 0.5 * stiffness * period,
                 coulomb_nm_at_least: 0.5 * stiffness * count,
             },
@@ -300,60 +347,84 @@ impl Wanted {
         }
     }
 
-    fn print(&self, plan: &Plan) {
-        println!("\nWhat would {} Nm/rad need?", self.stiffness_nm_rad);
-        println!(
-            "  β = {:.4}, σ = {:.4}, μ = {:.4}: region ({})",
-            self.beta, self.sigma, self.mu, self.region
-        );
+    fn write(&self, f: &mut fmt::Formatter<'_>, plan: &Plan) -> fmt::Result {
+        writeln!(f, "\nWhat would {} Nm/rad need?", self.stiffness_nm_rad)?;
+        writeln!(
+            f,
+            "  β = {}, σ = {}, μ = {}: region ({})",
+            digits(self.beta, 4),
+            digits(self.sigma, 4),
+            digits(self.mu, 4),
+            self.region
+        )?;
         if self.mu < 1.0 / (PI * PI) {
-            println!(
+            writeln!(
+                f,
                 "  μ is below 1/π²: the spring's own frequency is beyond the Nyquist limit of this sample period"
-            );
+            )?;
         }
         if self.passive_at_every_speed {
-            println!("  nothing: this device renders it passively at every speed");
-            return;
-        }
-        match self.passive_up_to_rad_s {
-            Some(speed) => println!("  as it is, passive up to {speed:.4} rad/s only"),
-            None => println!("  as it is, passive at no start that has to come to rest"),
-        }
-        let every = &self.every_speed;
-        println!(
-            "  for every speed:  T ≤ {:.4e} s or b ≥ {:.4e} Nm s/rad;  and  {:.0} counts/rev or more, or c ≥ {:.4e} Nm",
-            every.sample_period_s_at_most,
-            every.viscous_nm_s_rad_at_least,
-            every.counts_per_rev_at_least.ceil(),
-            every.coulomb_nm_at_least
-        );
-        println!("  up to a speed, changing one thing alone (– where that alone cannot do it):");
-        println!(
-            "    speed        sample period    counts/rev      viscous friction  Coulomb friction"
-        );
-        for row in &self.one_change {
-            if row.passive_as_it_is {
-                println!("    {:>5} rad/s  passive as it is", row.speed_rad_s);
-                continue;
-            }
-            let period = row
-                .sample_period_s_at_most
-                .map_or("–".into(), |t| format!("≤ {t:.3e} s"));
-            let counts = row
-                .counts_per_rev_at_least
-                .map_or("–".into(), |n| format!("≥ {:.0}", n.ceil()));
-            println!(
-                "    {:>5} rad/s  {period:<15}  {counts:<14}  ≥ {:.3e}       ≥ {:.3e} Nm",
-                row.speed_rad_s, row.viscous_nm_s_rad_at_least, row.coulomb_nm_at_least
+            return writeln!(
+                f,
+                "  nothing: this device renders it passively at every speed"
             );
         }
-        println!(
+        match self.passive_up_to_rad_s {
+            Some(speed) => writeln!(
+                f,
+                "  as it is, passive up to {} rad/s only",
+                digits(speed, 4)
+            )?,
+            None => writeln!(
+                f,
+                "  as it is, passive at no start that has to come to rest"
+            )?,
+        }
+        let every = &self.every_speed;
+        let period = every.sample_period_s_at_most;
+        let counts = every.counts_per_rev_at_least.map(f64::ceil);
+        writeln!(
+            f,
+            "  for every speed:  {}b ≥ {} Nm s/rad;  and  {}c ≥ {} Nm",
+            period.map_or(String::new(), |t| format!("T ≤ {} s or ", digits(t, 4))),
+            digits(every.viscous_nm_s_rad_at_least, 4),
+            counts.map_or(String::new(), |n| format!("{n} counts/rev or more, or ")),
+            digits(every.coulomb_nm_at_least, 4)
+        )?;
+        writeln!(
+            f,
+            "  up to a speed, changing one thing alone (– where that alone cannot do it):"
+        )?;
+        writeln!(
+            f,
+            "    speed        sample period    counts/rev      viscous friction  Coulomb friction"
+        )?;
+        for row in &self.one_change {
+            if row.passive_as_it_is {
+                writeln!(f, "    {:>5} rad/s  passive as it is", row.speed_rad_s)?;
+                continue;
+            }
+            let need = |sign: &str, number: Option<f64>, unit: &str| {
+                number.map_or("–".into(), |n| format!("{sign} {}{unit}", digits(n, 4)))
+            };
+            writeln!(
+                f,
+                "    {:>5} rad/s  {:<15}  {:<14}  {:<16}  {}",
+                row.speed_rad_s,
+                need("≤", row.sample_period_s_at_most, " s"),
+                need("≥", row.counts_per_rev_at_least.map(f64::ceil), ""),
+                need("≥", row.viscous_nm_s_rad_at_least, ""),
+                need("≥", Some(row.coulomb_nm_at_least), " Nm")
+            )?;
+        }
+        writeln!(
+            f,
             "  ({} has T = {} s, {} counts/rev, b = {} Nm s/rad, c = {} Nm)",
             plan.name,
-            plan.sample_period_s,
-            plan.counts_per_rev,
-            plan.viscous_nm_s_rad,
-            plan.coulomb_nm
-        );
+            digits(plan.sample_period_s, 6),
+            digits(plan.counts_per_rev, 6),
+            short(plan.viscous_nm_s_rad),
+            short(plan.coulomb_nm)
+        )
     }
 }

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use serde::Serialize;
 
+use crate::output::say_line;
 use crate::ports::{Candidate, candidates};
 
 /// List the ports that may be a knob's: serial ports on USB, and emulators.
@@ -22,14 +23,14 @@ struct Json {
 pub fn run(args: &Args) -> Result<()> {
     let ports = candidates();
     if args.json {
-        println!("{}", serde_json::to_string(&Json { ports })?);
+        say_line!("{}", serde_json::to_string(&Json { ports })?);
         return Ok(());
     }
     for port in &ports {
-        println!("{:<20} {}", port.port, port.description());
+        say_line!("{:<20} {}", port.port, port.description());
     }
     if ports.is_empty() {
-        println!(
+        say_line!(
             "none: no serial port on USB, and no emulator is running (`knob emulate` starts one)"
         );
     }

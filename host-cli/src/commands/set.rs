@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::get;
 use crate::device::Outcome;
+use crate::output::say_line;
 use crate::parameters::{self, Assignment, Named};
 use crate::ports::Connection;
 use crate::stop::Usage;
@@ -60,11 +61,11 @@ pub fn run(args: &Args) -> Result<()> {
                 names: Name::ALL,
             },
         };
-        println!("{}", serde_json::to_string(&json)?);
+        say_line!("{}", serde_json::to_string(&json)?);
     } else {
         let names: Vec<Name> = args.assignments.iter().map(|one| one.name).collect();
-        get::print(&all, &names);
-        println!("in force from tick {tick}");
+        get::print(&all, &names)?;
+        say_line!("in force from tick {tick}");
     }
     Ok(())
 }

@@ -1,21 +1,22 @@
 //! `knob simulate`: one run on the exact plant.
 
-use std::io::Write;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use control::criterion::{Criterion, Dimensionless, Sampling};
 use plant_sim::closed_loop::{Report, Scene};
 use plant_sim::display::Display;
-use plant_sim::energy::Ledger;
+use plant_sim::energy::reachable_speed;
 use plant_sim::hold::State;
 use plant_sim::outcome::{Class, DIVERGED_COUNTS};
 use serde::Serialize;
 
 use crate::charts::run::{Envelope, RunChart};
-use crate::output::{Draft, Output};
-use crate::stop::{self, Stopped, Usage};
-use crate::{number, scene};
+use crate::number::{self, digits};
+use crate::output::{self, Output};
+use crate::scene;
+use crate::stop::{self, Usage};
 
 /// Run one scene, or one dimensionless display, on the exact plant.
 ///
@@ -53,10 +54,10 @@ pub struct Args {
     #[arg(long)]
     json: bool,
     /// Write every sample of the scene as CSV
-    #[arg(long, value_name = "OUT.csv", requires = "scene")]
+    #[arg(long, value_name = "OUT.csv")]
     trace: Option<PathBuf>,
     /// Draw the scene: point and critical line in the plane, angle against time
-    #[arg(long, value_name = "OUT.svg", requires = "scene")]
+    #[arg(long, value_name = "OUT.svg")]
     plot: Option<PathBuf>,
     /// Replace files that exist
     #[arg(long)]
@@ -86,6 +87,16 @@ pub fn run(args: &Args) -> Result<()> {
     ) {
         (Some(path), ..) => run_scene(args, path),
         (None, Some(mu), Some(beta), Some(sigma), Some(v0), Some(samples)) => {
+            // clap drops a `requires` where the flag it asks for conflicts with another.
+            for (flag, file) in [("--trace", &args.trace), ("--plot", &args.plot)] {
+                if let Some(path) = file {
+                    let path = path.display();
+                    return Err(Usage(format!(
+                        "{flag} {path}: the dimensionless display has none; accepted: with a scene file"
+                    ))
+                    .into());
+                }
+            }
             let start = State {
                 position: args.xi0.unwrap_or(0.0),
                 velocity: v0,
@@ -106,6 +117,7 @@ struct DisplayJson {
     class: String,
     class_paper: String,
     region: char,
+    /// (10), with the speed that the start can turn into.
     criterion_holds_at_start: bool,
     energy_generated: f64,
     energy_dissipated: f64,
@@ -120,22 +132,11 @@ fn run_display(
 ) -> Result<()> {
     let display = Display::new(parameters)
         .map_err(|error| Usage(format!("--mu, --beta, --sigma: {error}")))?;
-    let run = display.run(start, samples, |sample, _| {
+    let (run, ledger) = display.run_audited(start, samples, |sample| {
         sample % 4096 != 0 || !stop::requested()
     });
-    let mut ledger = Ledger::default();
-    let mut state = start;
-    for sample in 0..run.samples {
-        let (next, exchange) = display.audited_step(state, 0.0);
-        state = next;
-        ledger.enter(exchange);
-        if sample % 4096 == 0 && stop::requested() {
-            break;
-        }
-    }
-    if stop::requested() {
-        return Err(Stopped.into());
-    }
+    stop::check()?;
+    let speed = reachable_speed(start, 1.0, parameters.mu);
     let json = DisplayJson {
         xi: run.end.position,
         v: run.end.velocity,
@@ -143,42 +144,42 @@ fn run_display(
         class: run.classes.window.to_string(),
         class_paper: run.classes.paper.to_string(),
         region: parameters.region().letter(),
-        criterion_holds_at_start: parameters.holds_at(start.velocity),
+        criterion_holds_at_start: parameters.holds_at(speed),
         energy_generated: ledger.generated,
         energy_dissipated: ledger.dissipated,
         energy_given_out: ledger.given_out,
     };
     if args.json {
-        println!("{}", serde_json::to_string(&json)?);
-        return Ok(());
+        return output::say(&(serde_json::to_string(&json)? + "\n"));
     }
     let Dimensionless { mu, beta, sigma } = parameters;
-    println!(
-        "display      μ {mu}  β {beta}  σ {sigma}: region ({})",
-        json.region
-    );
-    println!(
-        "criterion    (10) {} at {} counts per sample",
+    output::say(&format!(
+        "display      μ {mu}  β {beta}  σ {sigma}: region ({})\n\
+         criterion    (10) {} at {} counts per sample, {}\n\
+         after        {} samples: ξ = {}, ξ̇ = {}\n\
+         class        {} (by the paper's rule: {})\n\
+         energy       generated {}, dissipated {}, given out at most {} (units of K Δ²)\n",
+        json.region,
         if json.criterion_holds_at_start {
             "holds"
         } else {
             "does not hold"
         },
-        start.velocity
-    );
-    println!(
-        "after        {} samples: ξ = {}, ξ̇ = {}",
-        json.samples, json.xi, json.v
-    );
-    println!(
-        "class        {} (by the paper's rule: {})",
-        json.class, json.class_paper
-    );
-    println!(
-        "energy       generated {:.6}, dissipated {:.6}, given out at most {:.6} (units of K Δ²)",
-        json.energy_generated, json.energy_dissipated, json.energy_given_out
-    );
-    Ok(())
+        digits(speed, 6),
+        if start.position == 0.0 {
+            "the initial speed"
+        } else {
+            "the speed that this start can turn into"
+        },
+        json.samples,
+        json.xi,
+        json.v,
+        json.class,
+        json.class_paper,
+        digits(json.energy_generated, 7),
+        digits(json.energy_dissipated, 7),
+        digits(json.energy_given_out, 7),
+    ))
 }
 
 #[derive(Serialize)]
@@ -198,22 +199,32 @@ struct SceneJson {
     energy_dissipated_j: f64,
     energy_given_out_j: f64,
     reversals_last_eighth: u64,
+    /// (10) for the demanded stiffness, with the speed that the start can turn into.
+    criterion_holds_at_start: bool,
 }
 
 fn run_scene(args: &Args, path: &Path) -> Result<()> {
     let scene = scene::load(path)?;
-    let trace = prepare("--trace", args.trace.as_deref(), args.force)?;
-    let plot = prepare("--plot", args.plot.as_deref(), args.force)?;
-    let mut draft = match &trace {
-        Some(output) => Some(output.draft()?),
-        None => None,
-    };
-    if let Some(draft) = &mut draft {
-        write_row(
-            draft,
-            format_args!(
-                "time_s,angle_rad,velocity_rad_s,count,torque_nm,stiffness_nm_rad,margin_nm"
-            ),
+    let mut trace = prepare("--trace", args.trace.as_deref(), args.force)?;
+    let mut plot = prepare("--plot", args.plot.as_deref(), args.force)?;
+    for (flag, output, others) in [
+        ("--trace", &trace, [Some(path), args.plot.as_deref()]),
+        ("--plot", &plot, [Some(path), args.trace.as_deref()]),
+    ] {
+        let Some(output) = output else { continue };
+        if let Some(other) = others.into_iter().flatten().find(|p| output.replaces(p)) {
+            return Err(Usage(format!(
+                "{flag} {}: the same file as {}; accepted: a file of its own",
+                output.path().display(),
+                other.display()
+            ))
+            .into());
+        }
+    }
+    if let Some(trace) = &mut trace {
+        writeln!(
+            trace,
+            "time_s,angle_rad,velocity_rad_s,count,torque_nm,stiffness_nm_rad,margin_nm"
         )?;
     }
     let mut envelope = Envelope::new();
@@ -225,13 +236,11 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
         if plot.is_some() {
             envelope.enter(time_s, position);
         }
-        if let Some(draft) = &mut draft {
-            let row = write_row(
-                draft,
-                format_args!(
-                    "{time_s},{position},{velocity},{},{},{},{}",
-                    tick.count, tick.torque_nm, tick.stiffness_nm_rad, tick.margin_nm
-                ),
+        if let Some(trace) = &mut trace {
+            let row = writeln!(
+                trace,
+                "{time_s},{position},{velocity},{},{},{},{}",
+                tick.count, tick.torque_nm, tick.stiffness_nm_rad, tick.margin_nm
             );
             trouble = row.err();
         }
@@ -239,32 +248,27 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
     });
     let report = report.with_context(|| path.display().to_string())?;
     if let Some(trouble) = trouble {
-        return Err(trouble.context("--trace"));
+        return Err(trouble);
     }
-    if stop::requested() {
-        return Err(Stopped.into());
-    }
-    if let Some(draft) = draft {
-        draft.publish()?;
-    }
-    if let Some(output) = &plot {
+    stop::check()?;
+    if let Some(plot) = &mut plot {
         envelope.enter(
             report.samples as f64 * scene.config.period_s,
             report.end.position,
         );
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         let chart = RunChart::new(&name, &scene, &report, &envelope)?;
-        output.write(chart.svg()?.as_bytes())?;
+        write!(plot, "{}", chart.svg()?)?;
     }
+    output::publish([trace, plot].into_iter().flatten().collect())?;
     if args.json {
-        println!("{}", serde_json::to_string(&json(&report))?);
-    } else {
-        print_scene(&scene, &report)?;
-        for output in [&trace, &plot].into_iter().flatten() {
-            println!("wrote        {}", output.path().display());
-        }
+        return output::say(&(serde_json::to_string(&json(&scene, &report)?)? + "\n"));
     }
-    Ok(())
+    let mut text = describe(&scene, &report)?;
+    for path in [&args.trace, &args.plot].into_iter().flatten() {
+        writeln!(text, "wrote        {}", path.display())?;
+    }
+    output::say(&text)
 }
 
 fn prepare(flag: &str, path: Option<&Path>, force: bool) -> Result<Option<Output>> {
@@ -272,12 +276,19 @@ fn prepare(flag: &str, path: Option<&Path>, force: bool) -> Result<Option<Output
         .transpose()
 }
 
-fn write_row(draft: &mut Draft, row: std::fmt::Arguments<'_>) -> Result<()> {
-    writeln!(draft, "{row}").context("cannot write the trace")
+fn criterion(scene: &Scene) -> Result<Criterion<f64>> {
+    let sampling = Sampling {
+        period_s: scene.config.period_s,
+        count_rad: scene.config.count_rad(),
+    };
+    Ok(Criterion::new(scene.device, sampling)?)
 }
 
-fn json(report: &Report) -> SceneJson {
-    SceneJson {
+fn json(scene: &Scene, report: &Report) -> Result<SceneJson> {
+    let demand = scene.config.stiffness_nm_rad;
+    let speed = scene.reachable_speed_rad_s(demand);
+    Ok(SceneJson {
+        criterion_holds_at_start: criterion(scene)?.power_margin_nm(demand, speed) >= 0.0,
         class: report.class.to_string(),
         samples: report.samples,
         angle_rad: report.end.position,
@@ -293,49 +304,40 @@ fn json(report: &Report) -> SceneJson {
         energy_dissipated_j: report.ledger.dissipated,
         energy_given_out_j: report.ledger.given_out,
         reversals_last_eighth: report.reversals_last_eighth,
-    }
+    })
 }
 
-fn print_scene(scene: &Scene, report: &Report) -> Result<()> {
+fn describe(scene: &Scene, report: &Report) -> Result<String> {
     let config = &scene.config;
-    let sampling = Sampling {
-        period_s: config.period_s,
-        count_rad: config.count_rad(),
-    };
-    let criterion = Criterion::new(scene.device, sampling)?;
-    println!(
-        "demand       K = {} Nm/rad; passive at every speed up to {:.4} Nm/rad, at the start's {} rad/s up to {:.4}",
+    let criterion = criterion(scene)?;
+    let speed = scene.reachable_speed_rad_s(config.stiffness_nm_rad);
+    Ok(format!(
+        "demand       K = {} Nm/rad; passive at every speed up to {} Nm/rad, at the {} rad/s that the start can reach up to {}\n\
+         applied      K = {} to {} Nm/rad; smallest margin {:.3e} Nm\n\
+         after        {} samples ({} s): {} rad, {} rad/s\n\
+         class        {}{}\n\
+         peaks        {:.6} rad, {:.6} Nm\n\
+         energy       start {:.4e} J, excess {:.3e} J, given out at most {:.3e} J\n",
         config.stiffness_nm_rad,
-        criterion.largest_stiffness(),
-        scene.start.velocity,
-        criterion.largest_stiffness_at(scene.start.velocity)
-    );
-    println!(
-        "applied      K = {:.4} to {:.4} Nm/rad; smallest margin {:.3e} Nm",
-        report.min_stiffness_nm_rad, report.max_stiffness_nm_rad, report.min_margin_nm
-    );
-    println!(
-        "after        {} samples ({:.4} s): {} rad, {} rad/s",
+        digits(criterion.largest_stiffness(), 4),
+        digits(speed, 4),
+        digits(criterion.largest_stiffness_at(speed), 4),
+        digits(report.min_stiffness_nm_rad, 4),
+        digits(report.max_stiffness_nm_rad, 4),
+        report.min_margin_nm,
         report.samples,
-        report.samples as f64 * config.period_s,
+        digits(report.samples as f64 * config.period_s, 6),
         report.end.position,
-        report.end.velocity
-    );
-    println!(
-        "class        {}{}",
+        report.end.velocity,
         report.class,
         match report.class {
             Class::Undecided => ": let it run longer (run.samples)",
             _ => "",
-        }
-    );
-    println!(
-        "peaks        {:.6} rad, {:.6} Nm",
-        report.peak_angle_rad, report.peak_torque_nm
-    );
-    println!(
-        "energy       start {:.4e} J, excess {:.3e} J, given out at most {:.3e} J",
-        report.energy_start_j, report.energy_excess_j, report.ledger.given_out
-    );
-    Ok(())
+        },
+        report.peak_angle_rad,
+        report.peak_torque_nm,
+        report.energy_start_j,
+        report.energy_excess_j,
+        report.ledger.given_out
+    ))
 }
