@@ -252,6 +252,13 @@ fn size_and_cost_are_what_they_were() {
         writeln!(text, "{name} {figure}").unwrap();
     }
     println!("{text}");
+    let mut quick = bench(3, &[], Law::Static);
+    let began = std::time::Instant::now();
+    for _ in 0..20_000 {
+        quick.tick().unwrap();
+    }
+    let per_second = 20_000.0 / began.elapsed().as_secs_f64();
+    println!("lockstep: {per_second:.0} ticks per second");
     assert!(figures["tick_raw_instructions"] <= PLAIN_TICK as u64);
     assert!(figures["tick_static_instructions"] <= PLAIN_TICK as u64);
     assert!(figures["tick_episode_instructions"] <= 180);

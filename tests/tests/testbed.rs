@@ -206,4 +206,26 @@ proptest! {
             "{} J given out, {storage} J allowed", report.ledger.given_out);
         prop_assert!(report.class != Class::Unstable);
     }
+
+    /// A wall on a count edge, hit out of free motion: the law that follows the speed of a contact
+    /// applies more than the static one and still gives nothing out beyond the storage.
+    #[test]
+    fn the_episode_law_adds_no_energy_to_a_hit(
+        counts in 200.0..20_000.0f64, period_s in (-9.5..-5.5f64).prop_map(f64::exp),
+        speed in (-1.5..3.5f64).prop_map(f64::exp), phase in 0.0..1.0f64,
+    ) {
+        let mut scene = scene(counts, 1, 1e3, speed);
+        scene.config.law = Law::Episode;
+        scene.config.side = Side::Above;
+        scene.config.period_s = period_s;
+        // So far away that it arrives after some ticks, with speed left.
+        let count = scene.config.count_rad();
+        scene.start.position = -(phase * count + 5.0 * speed * period_s + 3.0 * count);
+        scene.samples = 4_000;
+        let report = run(&scene);
+        let storage = report.max_stiffness_nm_rad * count * count / 8.0;
+        prop_assert!(report.energy_excess_j <= storage * (1.0 + 1e-6),
+            "{} J beyond the start's, {storage} J allowed: {report:?}", report.energy_excess_j);
+        prop_assert!(report.class != Class::Unstable && report.class != Class::LimitCycle, "{report:?}");
+    }
 }
