@@ -3,7 +3,7 @@
 //! - [`ticker`]: what the tick's interrupt does, and the state disarmed, armed, fault;
 //! - [`desk`]: what answers the host, below the tick;
 //! - [`settings`]: parameters as they come over the wire, checked and made into a plan;
-//! - [`board`]: what a board owes the two.
+//! - [`board`]: what a board owes the two; the boards themselves lie in `src/board/`.
 //!
 //! The ticker and the desk share a [`Link`] and two queues of `heapless`; neither ever waits for the
 //! other. `docs/firmware.md` draws it.

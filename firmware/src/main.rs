@@ -5,7 +5,8 @@
 #![cfg_attr(target_os = "none", no_main)]
 
 #[cfg(target_os = "none")]
-mod emulator;
+#[path = "board/emulated.rs"]
+mod board;
 
 #[cfg(not(target_os = "none"))]
 fn main() {
@@ -23,9 +24,7 @@ mod app {
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
 
-    use crate::emulator::{
-        self as board, Board, Clock, Encoder, Rest, SerialIn, SerialOut, Torque,
-    };
+    use crate::board::{self, Board, Clock, Encoder, Rest, SerialIn, SerialOut, Torque};
 
     /// Bytes from the host that the desk has not read yet.
     type Bytes = Queue<u8, BYTES>;
