@@ -497,6 +497,19 @@ mod tests {
     }
 
     proptest! {
+        /// Also after rounding to f32: what is applied does not exceed what is passive.
+        #[test]
+        fn the_static_law_stays_within_the_limits_in_exact_arithmetic(
+            counts in 10.0..20_000.0f64, period_s in 4e-5..2e-2f64,
+        ) {
+            let mut config = re35(Law::Static, 1e3);
+            config.hardware_count_rad = core::f64::consts::TAU / counts;
+            config.period_s = period_s;
+            let stiffness = f64::from(controller(&config).tick(0).stiffness_nm_rad);
+            prop_assert!(stiffness * config.count_rad() <= 2.0 * 2e-3);
+            prop_assert!(stiffness * period_s <= 2.0 * 9e-6);
+        }
+
         #[test]
         fn stiffness_never_rises_under_load_nor_above_the_demand(
             law in prop::sample::select(vec![Law::Raw, Law::Static, Law::Episode]),

@@ -160,6 +160,80 @@ fn arming_under_load_gives_no_torque_until_zero_force() {
     }
     assert_ne!(twin.tick(0, false), 0.0);
     assert_ne!(twin.tick(50, false), 0.0);
+    // Nor where the knob was at zero force while disarmed, and is not when it is armed.
+    ask(&mut twin, Request::Disarm);
+    twin.tick(0, false);
+    twin.tick(40, false);
+    twin.send(&request_frame(3, Request::Arm));
+    assert_eq!(twin.tick(40, false), 0.0);
+    assert_eq!(twin.tick(30, false), 0.0);
+    twin.tick(0, false);
+    assert_ne!(twin.tick(30, false), 0.0);
+}
+
+#[test]
+fn what_is_refused_is_refused_by_name_and_changes_nothing() {
+    let mut twin = Twin::new(0, "test");
+    let mut refusal = |changes: Changes| {
+        let answer = ask(&mut twin, Request::Set(changes));
+        answer[0].read(|_, message| match message {
+            Message::Refused(refusal) => Some(*refusal),
+            Message::Done { .. } => None,
+            other => panic!("{other:?}"),
+        })
+    };
+    let name = |refusal: Option<Refusal>| match refusal {
+        Some(Refusal::Value { name, .. }) => Some(name.as_str()),
+        other => panic!("{other:?}"),
+    };
+    for bad in [f32::NAN, f32::INFINITY, -1.0, 2e4] {
+        let changes = Changes {
+            stiffness_nm_rad: Some(bad),
+            ..Changes::default()
+        };
+        assert_eq!(name(refusal(changes)), Some("stiffness_nm_rad"), "{bad}");
+    }
+    let changes = Changes {
+        sample_period_s: Some(0.05),
+        ..Changes::default()
+    };
+    assert_eq!(name(refusal(changes)), Some("sample_period_s"));
+    let changes = Changes {
+        decimation: Some(4097),
+        ..Changes::default()
+    };
+    assert_eq!(name(refusal(changes)), Some("decimation"));
+    let swapped = Changes {
+        viscous_nm_s_rad: Some(Interval {
+            low: 2e-5,
+            high: 1e-5,
+        }),
+        ..Changes::default()
+    };
+    assert!(matches!(refusal(swapped), Some(Refusal::Reversed { .. })));
+    let get = ask(&mut twin, Request::Get);
+    assert!(get[0].read(|_, message| *message == Message::Parameters(DEFAULTS)));
+
+    ask(&mut twin, Request::Arm);
+    for changes in [
+        Changes {
+            sample_period_s: Some(2e-3),
+            ..Changes::default()
+        },
+        Changes {
+            decimation: Some(2),
+            ..Changes::default()
+        },
+        Changes {
+            counts_per_rev: Some(4096),
+            ..Changes::default()
+        },
+    ] {
+        let answer = ask(&mut twin, Request::Set(changes));
+        let armed =
+            |message: &Message<'_>| matches!(message, Message::Refused(Refusal::Armed { .. }));
+        assert!(answer[0].read(|_, message| armed(message)), "{changes:?}");
+    }
 }
 
 #[test]
