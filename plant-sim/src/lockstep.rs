@@ -237,7 +237,11 @@ impl Emulator {
             while !rest.is_empty() {
                 match self.serial.write(rest) {
                     Ok(written) => rest = &rest[written..],
-                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                    Err(error)
+                        if matches!(
+                            error.kind(),
+                            io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
+                        ) => {}
                     Err(error) => return Err(error.into()),
                 }
             }
@@ -264,6 +268,7 @@ impl Emulator {
                 Ok(0) => return Err(LockstepError::Ended(self.child.wait()?)),
                 Ok(length) => self.received.extend_from_slice(&buffer[..length]),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(()),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(error.into()),
             }
         }
@@ -281,8 +286,12 @@ impl Emulator {
                 PollFd::new(&self.to_host, PollFlags::IN),
                 PollFd::new(&self.serial, PollFlags::IN),
             ];
-            if poll(&mut ready, Some(&patience)).map_err(io::Error::from)? == 0 {
-                return Err(LockstepError::Silent);
+            match poll(&mut ready, Some(&patience)) {
+                Ok(0) => return Err(LockstepError::Silent),
+                Ok(_) => {}
+                // A signal, such as Ctrl-C; whoever wants to stop does so between ticks.
+                Err(rustix::io::Errno::INTR) => continue,
+                Err(error) => return Err(io::Error::from(error).into()),
             }
             let reported = !ready[0].revents().is_empty();
             if reported {

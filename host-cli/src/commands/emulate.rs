@@ -1,5 +1,6 @@
 //! `knob emulate`: the firmware in the emulator, in lockstep with the exact plant, on a serial port.
 
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
@@ -148,6 +149,8 @@ pub struct Port {
     host: File,
     /// Kept open, so that the line stays when a client leaves.
     _device: File,
+    /// Bytes that the client has not taken yet.
+    waiting: VecDeque<u8>,
     pub path: PathBuf,
     link: Option<PathBuf>,
     _registration: emulators::Registration,
@@ -182,6 +185,7 @@ impl Port {
             _registration: emulators::register(&path).context(cannot)?,
             host: File::from(host),
             _device: File::from(device),
+            waiting: VecDeque::new(),
             path,
             link: link.map(Path::to_owned),
         })
@@ -192,20 +196,40 @@ impl Port {
         let mut buffer = [0; 256];
         match self.host.read(&mut buffer) {
             Ok(length) => Ok(buffer[..length].to_vec()),
-            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(Vec::new()),
+            Err(error) if nothing_yet(&error) => Ok(Vec::new()),
             Err(error) => bail!("the serial port broke: {error}"),
         }
     }
 
-    /// Hands bytes to the client. What it does not take in time is lost, as on a wire.
+    /// Hands bytes to the client. What it is slow to take waits; what is more than a client can
+    /// have missed without being gone is lost, as on a wire.
     pub fn write(&mut self, bytes: &[u8]) -> Result<()> {
-        match self.host.write(bytes) {
-            Ok(_) => Ok(()),
-            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(()),
-            Err(error) => bail!("the serial port broke: {error}"),
+        self.waiting.extend(bytes);
+        if self.waiting.len() > MOST_WAITING {
+            self.waiting.clear();
         }
+        while !self.waiting.is_empty() {
+            let (next, _) = self.waiting.as_slices();
+            match self.host.write(next) {
+                Ok(0) => return Ok(()),
+                Ok(length) => {
+                    self.waiting.drain(..length);
+                }
+                Err(error) if nothing_yet(&error) => return Ok(()),
+                Err(error) => bail!("the serial port broke: {error}"),
+            }
+        }
+        Ok(())
     }
 }
+
+/// Not a failure: no room or no byte yet, or a signal came by.
+fn nothing_yet(error: &std::io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted)
+}
+
+/// Bytes that wait for a client, at most: two seconds of all that telemetry can carry.
+const MOST_WAITING: usize = 1 << 17;
 
 impl Drop for Port {
     fn drop(&mut self) {
