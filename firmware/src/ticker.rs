@@ -108,7 +108,7 @@ pub struct Output {
 pub struct Ticker<'a> {
     controller: Controller,
     furthest_counts: u32,
-    state: StateCode,
+    /// What the link was told last; its state is the state.
     status: LinkStatus,
     reason: Reason,
     /// Ticks until telemetry is due.
@@ -137,7 +137,6 @@ impl<'a> Ticker<'a> {
         Self {
             controller: Controller::new(settled.plan, counter as i32),
             furthest_counts: settled.furthest_counts,
-            state: StateCode::Disarmed,
             status,
             reason: Reason::None,
             due_in: 0,
@@ -158,7 +157,7 @@ impl<'a> Ticker<'a> {
         }
         let tick = self.controller.tick(counter);
         let mut torque_nm = 0.0;
-        if self.state == StateCode::Armed {
+        if self.status.state == StateCode::Armed {
             match fault_in(&tick, self.furthest_counts, overran) {
                 None => torque_nm = tick.torque_nm,
                 Some(fault) => self.fail(tick, fault),
@@ -177,7 +176,7 @@ impl<'a> Ticker<'a> {
     fn obey(&mut self) -> Option<f32> {
         let command = self.commands.dequeue()?;
         let mut period_s = None;
-        let done = match (command, self.state) {
+        let done = match (command, self.status.state) {
             (Command::Configure(settled), state) => {
                 let (old, new) = (*self.controller.plan(), settled.plan);
                 let same_encoder = old.encoder() == new.encoder();
@@ -199,27 +198,24 @@ impl<'a> Ticker<'a> {
             }
             (Command::Arm, StateCode::Disarmed) => {
                 self.controller.release();
-                self.state = StateCode::Armed;
+                self.status.state = StateCode::Armed;
                 true
             }
             (Command::Disarm, StateCode::Armed) => {
-                self.state = StateCode::Disarmed;
+                self.status.state = StateCode::Disarmed;
                 true
             }
             (Command::Arm, StateCode::Armed) | (Command::Disarm, StateCode::Disarmed) => true,
             (Command::Clear, StateCode::Fault) => {
-                self.state = StateCode::Disarmed;
+                self.status.state = StateCode::Disarmed;
                 true
             }
             (Command::Arm | Command::Disarm, StateCode::Fault) | (Command::Clear, _) => false,
         };
         let number = self.link.tick.load(Relaxed);
         self.link.taken_at.store(number, Relaxed);
-        self.status = LinkStatus {
-            state: self.state,
-            refused: !done,
-            taken: self.status.taken.wrapping_add(1),
-        };
+        self.status.refused = !done;
+        self.status.taken = self.status.taken.wrapping_add(1);
         self.link.set_status(self.status);
         period_s
     }
@@ -228,7 +224,6 @@ impl<'a> Ticker<'a> {
     #[inline(never)]
     fn fail(&mut self, tick: Tick, fault: Fault) {
         self.link.set_fault(fault);
-        self.state = StateCode::Fault;
         self.status.state = StateCode::Fault;
         self.link.set_status(self.status);
         self.record(tick, Occasion::Fault(fault));
@@ -259,7 +254,7 @@ impl<'a> Ticker<'a> {
     fn record(&mut self, tick: Tick, occasion: Occasion) {
         let record = Record {
             number: self.link.tick.load(Relaxed),
-            state: self.state,
+            state: self.status.state,
             tick,
             demanded_nm_rad: self.controller.plan().demanded_nm_rad(),
             occasion,

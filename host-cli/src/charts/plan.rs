@@ -6,8 +6,8 @@ use plotters::prelude::*;
 
 use super::plane::Plane;
 use super::style::{
-    Area, BLUE, FAINT, GREEN, GREY, LABEL, ORANGE, PURPLE, RED, SMALL, TITLE, clip, letters, page,
-    trouble,
+    Area, BLUE, FAINT, GREEN, GREY, LABEL, ORANGE, PURPLE, RED, SMALL, TITLE, clip, legend,
+    letters, page, trouble,
 };
 use crate::commands::plan::describing_function_stiffness;
 use crate::number::short;
@@ -141,15 +141,7 @@ impl<'a> PlanChart<'a> {
                     PathElement::new([(x, y), (x + 22, y)], colour.stroke_width(width))
                 });
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.85))
-            .border_style(FAINT)
-            .label_font(letters(SMALL, BLACK))
-            .draw()
-            .map_err(trouble)?;
-        Ok(())
+        legend(&mut chart)
     }
 
     /// The device at the wanted stiffness, or at the largest that is passive at every speed,

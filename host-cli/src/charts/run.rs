@@ -13,7 +13,8 @@ use plotters::prelude::*;
 
 use super::plane::Plane;
 use super::style::{
-    Area, BLUE, FAINT, GREY, LABEL, ORANGE, PURPLE, SMALL, TITLE, letters, page, tick, trouble,
+    Area, BLUE, FAINT, GREY, LABEL, ORANGE, PURPLE, SMALL, TITLE, legend, letters, page, tick,
+    trouble,
 };
 use crate::number::{digits, short};
 
@@ -334,15 +335,7 @@ fn curve(
     if levels.is_empty() {
         return Ok(());
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .background_style(WHITE.mix(0.85))
-        .border_style(FAINT)
-        .label_font(letters(SMALL, BLACK))
-        .draw()
-        .map_err(trouble)?;
-    Ok(())
+    legend(&mut chart)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! and Ito's), letters, and how a chart becomes text.
 
 use anyhow::{Result, anyhow};
-use plotters::coord::Shift;
+use plotters::coord::{CoordTranslate, Shift};
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
@@ -64,6 +64,20 @@ pub fn tick(value: f64, span: f64) -> String {
     let decimals = (20.0 / span).log10().ceil();
     let significant = value.abs().log10().floor() + decimals + 1.0;
     digits(value, significant.clamp(1.0, 17.0) as usize)
+}
+
+/// Draws the names of a chart's series in its upper right corner.
+pub fn legend<'a, C: CoordTranslate>(
+    chart: &mut ChartContext<'a, SVGBackend<'a>, C>,
+) -> Result<()> {
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .background_style(WHITE.mix(0.85))
+        .border_style(FAINT)
+        .label_font(letters(SMALL, BLACK))
+        .draw()
+        .map_err(trouble)
 }
 
 /// A drawing error, as this program's.
