@@ -10,6 +10,8 @@
 //! - [`outcome`]: rest, limit cycle or divergence, by two rules;
 //! - [`kernel`] and [`map`]: many displays at once, the plane of Fig. 5;
 //! - [`closed_loop`]: a knob in physical units under the controller of [`control`];
+//! - [`knob`]: the plant with what a real one adds, each opt-in: a [`hand`] that holds it,
+//!   a [`drive`] that delays, lags and rounds the torque, a [`clock`] that is not even;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
 //! - [`preset`]: devices known by name.
 //!
@@ -17,14 +19,19 @@
 //! Barbagli, Salisbury, "A Criterion for the Passivity of Haptic Devices" (2005).
 #![forbid(unsafe_code)]
 
+pub mod clock;
 pub mod closed_loop;
 pub mod display;
+pub mod drive;
 pub mod energy;
+pub mod hand;
 pub mod hold;
 pub mod kernel;
+pub mod knob;
 #[cfg(unix)]
 pub mod lockstep;
 pub mod map;
 pub mod outcome;
 pub mod preset;
 mod series;
+mod sprung;

@@ -1,0 +1,134 @@
+//! When ticks come: a period that varies, and ticks that do not run.
+
+use control::ConfigError;
+use rand_pcg::Pcg64;
+use rand_pcg::rand_core::{Rng, SeedableRng};
+
+/// Nominal ticks are `period_s` + u apart, u independent and uniform in ±`jitter_s`; of
+/// these a share of `missed_ticks` does not run, never two in a row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Clock {
+    /// The mean distance of nominal ticks, s.
+    pub period_s: f64,
+    /// The largest deviation from it, s; 0: none.
+    pub jitter_s: f64,
+    /// Share of nominal ticks that do not run, 0 to ½; 0: none.
+    pub missed_ticks: f64,
+}
+
+/// Why there is no such clock.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum ClockError {
+    /// A quantity is not one.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The period could shrink to nothing.
+    #[error("jitter is {jitter_s} s; accepted: below the sample period, {period_s} s")]
+    Jitter {
+        /// What was given.
+        jitter_s: f64,
+        /// What it has to stay below.
+        period_s: f64,
+    },
+    /// A share of missed ticks that cannot be had without two in a row.
+    #[error("the share of missed ticks is {0}; accepted: 0 to 0.5, as no two in a row are missed")]
+    MissedTicks(f64),
+}
+
+impl Clock {
+    /// # Errors
+    /// Refuses a period not finite and above 0, a jitter negative or not below the period,
+    /// and a share of missed ticks outside 0 to ½.
+    pub fn check(&self) -> Result<(), ClockError> {
+        let Self {
+            period_s,
+            jitter_s,
+            missed_ticks,
+        } = *self;
+        if !(period_s > 0.0 && period_s.is_finite()) {
+            let name = "sample period (s)";
+            let value = period_s;
+            return Err(ConfigError::NotPositive { name, value }.into());
+        }
+        if !(jitter_s >= 0.0 && jitter_s.is_finite()) {
+            let name = "jitter (s)";
+            let value = jitter_s;
+            return Err(ConfigError::Negative { name, value }.into());
+        }
+        if jitter_s >= period_s {
+            return Err(ClockError::Jitter { jitter_s, period_s });
+        }
+        if !(0.0..=0.5).contains(&missed_ticks) {
+            return Err(ClockError::MissedTicks(missed_ticks));
+        }
+        Ok(())
+    }
+
+    /// The longest interval between ticks that run, s: `period_s` + `jitter_s`, twice that if
+    /// ticks can be missed.
+    #[must_use]
+    pub fn longest_s(&self) -> f64 {
+        let nominal = self.period_s + self.jitter_s;
+        if self.missed_ticks > 0.0 {
+            2.0 * nominal
+        } else {
+            nominal
+        }
+    }
+
+    /// The intervals between ticks that run, the same for the same seed on every machine.
+    ///
+    /// # Assumes
+    /// [`Clock::check`] is content.
+    #[must_use]
+    pub fn ticks(&self, seed: u64) -> Ticks {
+        Ticks {
+            clock: *self,
+            miss: self.missed_ticks / (1.0 - self.missed_ticks),
+            random: Pcg64::seed_from_u64(seed),
+        }
+    }
+}
+
+/// Intervals between ticks that run, s, without end. See [`Clock::ticks`].
+#[derive(Debug, Clone)]
+pub struct Ticks {
+    clock: Clock,
+    /// Probability that the tick after one that ran is missed, p/(1 − p): with no two in a
+    /// row, a share p of all.
+    miss: f64,
+    random: Pcg64,
+}
+
+impl Ticks {
+    /// Uniform in 0 (included) to 1 (not), in steps of 2⁻⁵³.
+    fn uniform(&mut self) -> f64 {
+        const STEP: f64 = 1.0 / (1_u64 << 53) as f64;
+        (self.random.next_u64() >> 11) as f64 * STEP
+    }
+
+    /// From one nominal tick to the next.
+    fn nominal(&mut self) -> f64 {
+        let Clock {
+            period_s, jitter_s, ..
+        } = self.clock;
+        if jitter_s == 0.0 {
+            period_s
+        } else {
+            period_s + jitter_s * (2.0 * self.uniform() - 1.0)
+        }
+    }
+}
+
+impl Iterator for Ticks {
+    type Item = f64;
+
+    fn next(&mut self) -> Option<f64> {
+        let interval = self.nominal();
+        if self.miss > 0.0 && self.uniform() < self.miss {
+            Some(interval + self.nominal())
+        } else {
+            Some(interval)
+        }
+    }
+}
