@@ -219,14 +219,14 @@ impl<T: Real> Criterion<T> {
             + (self.device.coulomb_nm - half_stiffness * self.sampling.count_rad)
     }
 
-    /// The power margin at the worst of all speeds between two, given in steps of `step`
-    /// rad/s from 0 on. It is affine in the speed, so one of the two is the worst.
-    pub fn worst_power_margin_nm(&self, stiffness: T, slow: T, fast: T, step: T) -> T {
+    /// The power margin at the worst of all speeds between two, 0 or more. It is affine
+    /// in the speed, so one of the two is the worst.
+    pub fn worst_power_margin_nm(&self, stiffness: T, slow: T, fast: T) -> T {
         let half_stiffness = T::from(0.5) * stiffness;
         let slope = self.device.viscous_nm_s_rad - half_stiffness * self.sampling.period_s;
         let at_rest = self.device.coulomb_nm - half_stiffness * self.sampling.count_rad;
         let worst = if slope < T::from(0.0) { fast } else { slow };
-        slope * (worst * step) + at_rest
+        slope * worst + at_rest
     }
 
     /// The largest K that (11) allows at one speed: 2(b|ẋ| + c)/(T|ẋ| + Δ), Nm/rad.

@@ -1,5 +1,5 @@
+use crate::config::Interval;
 use crate::real::Real;
-use crate::tick::Interval;
 
 /// A configuration that no tick may run with: which value, and what would do.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -38,6 +38,36 @@ pub enum ConfigError {
         /// What was given, rad.
         value: f64,
         /// The largest magnitude accepted, rad.
+        limit: f64,
+    },
+    /// A detent's period that counts cannot say.
+    #[error("detent period is {value} rad; accepted: {least} to {most} rad, two counts to 2^30")]
+    Period {
+        /// What was given, rad.
+        value: f64,
+        /// Two counts, rad.
+        least: f64,
+        /// 2³⁰ counts, rad.
+        most: f64,
+    },
+    /// A longest interval between ticks that is shorter than the period.
+    #[error(
+        "longest interval between ticks is {longest} s; accepted: the sample period, {period} s, or more"
+    )]
+    LongestInterval {
+        /// What was given, s.
+        longest: f64,
+        /// The sample period, s.
+        period: f64,
+    },
+    /// A delay that the energy ledger cannot look across.
+    #[error(
+        "delay is {delay} s; accepted by this law: up to {limit} s, the shortest interval between ticks"
+    )]
+    Delay {
+        /// What was given, s.
+        delay: f64,
+        /// The most, s.
         limit: f64,
     },
     /// An encoder counter of a width that does not exist.

@@ -12,12 +12,20 @@
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
+pub mod config;
 pub mod criterion;
 pub mod encoder;
 mod error;
+pub mod ledger;
+pub mod margin;
+pub mod motion;
+pub mod plan;
 mod real;
-pub mod spring;
+pub mod root;
+pub mod shape;
+pub mod sine;
 pub mod tick;
+pub mod tuning;
 
 pub use error::ConfigError;
 pub use real::Real;

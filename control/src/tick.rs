@@ -3,119 +3,51 @@
 //! The tick has no error path: everything it takes was validated by [`Plan::new`]. It computes
 //! in `f32` with + − × ÷ only, so host and chip agree to the last bit.
 //!
-//! Stiffness may fall in any tick, but rises only at zero force: raising it by ΔK at a
-//! deflection q would add ½ ΔK q² to the display. Zero force is the free side of a
-//! wall, or a cell that touches the spring's zero, where at most ½ ΔK Δ² is added.
+//! *Raw, static, episode.* The torque is the profile's times a stiffness, which may fall in
+//! any tick, but rises only at zero force: raising it by ΔK at a deflection q would add
+//! ½ ΔK q² to the display. Zero force is the free side of a wall, or a cell that touches
+//! the zero, where at most ½ ΔK Δ² is added.
+//!
+//! *Ledger.* The torque is what the account allows: see [`crate::ledger`].
+//!
+//! *Auto.* The plain spring where the demand is passive at every speed; the episode where it is
+//! at the speeds of the moment; else the ledger. From the spring to the ledger the account begins
+//! with what the spring stores, K·U(q), ⅛KΔ² less than the quantised potential (16), which
+//! pays for what sampling may have made. Back to the spring only when the account holds all that
+//! the spring would: S − |F − K·u|·w/2 ≥ K·(½(|u| + Δ/2)²), u the torque over the stiffness.
+//! So a change adds no energy, in contact or out of it.
 
-use crate::criterion::{Criterion, Device, Sampling};
-use crate::encoder::{Encoder, EncoderConfig};
-use crate::error::{ConfigError, interval, not_negative, positive};
+use crate::config::Law;
+use crate::encoder::Encoder;
+use crate::ledger::Ledger;
+use crate::margin::reachable_speed_rad_s;
+use crate::plan::Plan;
 use crate::real::smaller;
-use crate::spring::{SampledSpring, Side};
-
-/// What decides the stiffness that is applied.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Law {
-    /// The demanded stiffness, whatever it does.
-    Raw,
-    /// At most min(2b/T, 2c/Δ), which is passive at every speed.
-    Static,
-    /// At most what (11) allows at the worst speed seen in this contact, and at most 2c/Δ,
-    /// or it would never rest. Within a contact the stiffness only falls; it is released at
-    /// zero force. Until a speed has been seen, as [`Law::Static`].
-    Episode,
-}
-
-/// A quantity that is known to lie between two values.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Interval {
-    /// The least it may be.
-    pub low: f64,
-    /// The most it may be.
-    pub high: f64,
-}
-
-impl Interval {
-    /// A quantity that is believed to be known exactly.
-    #[must_use]
-    pub fn exactly(value: f64) -> Self {
-        Self {
-            low: value,
-            high: value,
-        }
-    }
-}
-
-/// A device as it is believed to be, in SI units.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Believed {
-    /// m, kg m².
-    pub inertia_kg_m2: Interval,
-    /// b, Nm s/rad.
-    pub viscous_nm_s_rad: Interval,
-    /// c, Nm.
-    pub coulomb_nm: Interval,
-}
-
-impl Believed {
-    /// A device whose values are believed to be known exactly.
-    #[must_use]
-    pub fn exactly(device: &Device<f64>) -> Self {
-        Self {
-            inertia_kg_m2: Interval::exactly(device.inertia_kg_m2),
-            viscous_nm_s_rad: Interval::exactly(device.viscous_nm_s_rad),
-            coulomb_nm: Interval::exactly(device.coulomb_nm),
-        }
-    }
-}
-
-/// Everything a controller is told. Plain data, in `f64` and SI units; checked once,
-/// by [`Plan::new`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Config {
-    /// The device as it is believed to be; its least friction counts.
-    pub believed: Believed,
-    /// The sample period T, s.
-    pub period_s: f64,
-    /// The size of one hardware count, before decimation, rad.
-    pub hardware_count_rad: f64,
-    /// How the hardware counter is read.
-    pub encoder: EncoderConfig,
-    /// Spring or wall.
-    pub side: Side,
-    /// The centre of the spring or the edge of the wall, rad.
-    pub zero_rad: f64,
-    /// The demanded stiffness K, Nm/rad.
-    pub stiffness_nm_rad: f64,
-    /// The law that decides how much of it is applied.
-    pub law: Law,
-    /// The largest torque commanded, in magnitude, Nm.
-    pub torque_max_nm: f64,
-}
-
-impl Config {
-    /// Δ: the size of a count after decimation, rad.
-    #[must_use]
-    pub fn count_rad(&self) -> f64 {
-        self.hardware_count_rad * f64::from(self.encoder.decimation())
-    }
-}
+use crate::shape::Reading;
 
 /// Why the stiffness or the torque is less than demanded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reason {
     /// It is not.
     None,
-    /// Sampled too slowly for this viscous friction: 2b/T.
+    /// Sampled too slowly for this viscous friction: 2b/Te.
     Viscous,
     /// Encoder too coarse for this Coulomb friction: 2c/Δ.
     Coulomb,
-    /// Too fast in this contact: 2(b|ẋ| + c)/(T|ẋ| + Δ).
+    /// Too fast in this contact: 2(b|ẋ| + c)/(Te|ẋ| + Δ).
     Speed,
     /// It may rise only at zero force, and waits for it.
     ZeroForce,
     /// The torque limit.
     Torque,
+    /// Sampled too slowly for this inertia: m/Te².
+    Inertia,
+    /// Encoder too coarse for this Coulomb friction, under the ledger: 3c/Δ.
+    Coarse,
+    /// The account does not cover more.
+    Account,
+    /// A hand moved the knob as no believed force can; more is allowed for.
+    Hand,
 }
 
 /// What one tick decided.
@@ -127,160 +59,105 @@ pub struct Tick {
     pub moved: i32,
     /// The torque to hold until the next tick, Nm.
     pub torque_nm: f32,
-    /// The stiffness applied, Nm/rad.
+    /// The stiffness applied, Nm/rad: under the ledger, torque over deflection.
     pub stiffness_nm_rad: f32,
-    /// The passivity margin (11) × |ẋ| of the applied stiffness at the worst of the
-    /// mean speeds that the counts of the last period allow, Nm. The first tick has
-    /// seen no motion and answers for a knob that moves by less than a count.
+    /// The [margin](crate::margin) of the applied stiffness at the worst of the mean
+    /// speeds that the counts of the last period allow, Nm; under raw, of the speed that
+    /// the state can turn into. The first tick has seen no motion and answers for a knob that
+    /// moves by less than a count. Below 0 the ledger pays.
     pub margin_nm: f32,
+    /// The energy in the ledger's account, J; 0 under the other laws.
+    pub account_j: f32,
+    /// The law in force; under auto one of static, episode, ledger.
+    pub law: Law,
     /// Why less is applied than demanded.
     pub reason: Reason,
 }
 
-/// A configuration that was checked, in the form that the tick uses.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Plan {
-    criterion: Criterion<f32>,
-    spring: SampledSpring,
-    encoder: EncoderConfig,
-    law: Law,
-    demanded_nm_rad: f32,
-    /// What the law allows at every speed, and why not more.
-    limit_nm_rad: f32,
-    limit_reason: Reason,
-    torque_max_nm: f32,
-    half_count_rad: f32,
-    /// Δ/T, rad/s: the speed of one count per sample.
-    count_speed_rad_s: f32,
-}
-
-impl Plan {
-    /// Checks a configuration.
-    ///
-    /// # Errors
-    /// Refuses what is not finite or has the wrong sign, by name and value, and an interval
-    /// that is reversed.
-    pub fn new(config: &Config) -> Result<Self, ConfigError> {
-        let believed = &config.believed;
-        let inertia = interval("inertia (kg m²)", &believed.inertia_kg_m2)?;
-        let viscous = interval("viscous friction (Nm s/rad)", &believed.viscous_nm_s_rad)?;
-        let coulomb = interval("Coulomb friction (Nm)", &believed.coulomb_nm)?;
-        positive("count size (rad)", config.count_rad())?;
-        let criterion = Criterion::new(
-            Device {
-                inertia_kg_m2: inertia.low as f32,
-                viscous_nm_s_rad: viscous.low as f32,
-                coulomb_nm: coulomb.low as f32,
-            },
-            Sampling {
-                period_s: config.period_s as f32,
-                count_rad: config.count_rad() as f32,
-            },
-        )?;
-        let demanded = not_negative("stiffness (Nm/rad)", config.stiffness_nm_rad as f32)?;
-        let sampling = *criterion.sampling();
-        // A little down: a limit that f32 has rounded up would be none.
-        let down = 1.0 - 4.0 * f32::EPSILON;
-        let (viscous_limit, coulomb_limit) = (
-            down * criterion.viscous_limit(),
-            down * criterion.coulomb_limit(),
-        );
-        let (limit, limit_reason) = match config.law {
-            Law::Raw => (demanded, Reason::None),
-            Law::Static if viscous_limit < coulomb_limit => (viscous_limit, Reason::Viscous),
-            Law::Static | Law::Episode => (coulomb_limit, Reason::Coulomb),
-        };
-        Ok(Self {
-            spring: SampledSpring::new(config.side, config.zero_rad, config.count_rad())?,
-            encoder: config.encoder,
-            law: config.law,
-            demanded_nm_rad: demanded,
-            limit_nm_rad: smaller(demanded, limit),
-            limit_reason: if demanded > limit {
-                limit_reason
-            } else {
-                Reason::None
-            },
-            torque_max_nm: not_negative("torque limit (Nm)", config.torque_max_nm as f32)?,
-            half_count_rad: 0.5 * sampling.count_rad,
-            count_speed_rad_s: positive(
-                "count / sample period (rad/s)",
-                sampling.count_rad / sampling.period_s,
-            )?,
-            criterion,
-        })
-    }
-
-    /// The demanded stiffness, Nm/rad.
-    #[must_use]
-    pub fn demanded_nm_rad(&self) -> f32 {
-        self.demanded_nm_rad
-    }
-
-    /// T, s.
-    #[must_use]
-    pub fn period_s(&self) -> f32 {
-        self.criterion.sampling().period_s
-    }
-
-    /// Δ/T: the speed of one count per sample, rad/s.
-    #[must_use]
-    pub fn count_speed_rad_s(&self) -> f32 {
-        self.count_speed_rad_s
-    }
-
-    /// How the hardware counter is read.
-    #[must_use]
-    pub fn encoder(&self) -> EncoderConfig {
-        self.encoder
-    }
-}
-
-/// A sampled spring, with the criterion that watches it.
+/// A sampled spring, with the law that watches it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Controller {
     plan: Plan,
     encoder: Encoder,
     applied_nm_rad: f32,
-    /// The least that (11) allowed in this contact, Nm/rad.
+    /// The least that the margin allowed in this contact, Nm/rad.
     contact_limit_nm_rad: f32,
     /// A tick has run, so that the next one knows how far the knob moved.
     seen: bool,
+    /// Under auto the law in force; else the plan's.
+    in_force: Law,
+    ledger: Ledger,
 }
 
 impl Controller {
-    /// A controller for a knob that stands at `hardware_count` counts from zero now, and
+    /// A controller for a knob that stands at `hardware_count` counts from zero now, at rest, and
     /// renders at once, also under load.
     #[must_use]
     pub fn new(plan: Plan, hardware_count: i32) -> Self {
+        let encoder = Encoder::new(plan.encoder(), hardware_count);
+        let reading = plan.profile.read(encoder.count());
+        let stored_j = plan.ledger.stiffness * plan.profile.potential_rad2(&reading);
         Self {
             plan,
-            encoder: Encoder::new(plan.encoder, hardware_count),
+            encoder,
             applied_nm_rad: match plan.law {
-                Law::Raw | Law::Static => plan.limit_nm_rad,
                 Law::Episode => smaller(plan.limit_nm_rad, plan.criterion.largest_stiffness()),
+                _ => plan.limit_nm_rad,
             },
             contact_limit_nm_rad: plan.criterion.largest_stiffness(),
             seen: false,
+            in_force: match plan.law {
+                Law::Auto => Law::Ledger,
+                law => law,
+            },
+            ledger: Ledger::new(&plan.ledger, 0.0, stored_j),
         }
     }
 
-    /// Lets go: no stiffness is applied until the knob passes zero force.
+    /// Lets go: no torque until the knob passes zero force, or under the ledger until it has
+    /// put energy in.
     pub fn release(&mut self) {
         self.applied_nm_rad = 0.0;
+        self.ledger = Ledger::new(&self.plan.ledger, 0.0, 0.0);
+        if self.plan.law == Law::Auto {
+            self.in_force = Law::Ledger;
+        }
     }
 
-    /// Takes another plan with the same encoder. What is felt changes without a step upwards:
-    /// the stiffness falls at once where it must, and rises at zero force; a spring or wall
-    /// that was moved is let go first.
+    /// Takes another plan with the same encoder and period. What is felt changes without a
+    /// step upwards: see the module.
     pub fn adopt(&mut self, plan: Plan) {
-        if plan.spring != self.plan.spring {
-            self.release();
+        let old = self.plan;
+        if plan.profile != old.profile {
+            self.applied_nm_rad = 0.0;
         }
         // What this contact has allowed so far was found with other values.
-        if plan.criterion != self.plan.criterion || plan.law != self.plan.law {
+        if plan.criterion != old.criterion || plan.law != old.law {
             self.contact_limit_nm_rad = plan.criterion.largest_stiffness();
         }
+        let ledger_goes_on =
+            self.in_force == Law::Ledger && plan.ledger.mechanics == old.ledger.mechanics;
+        match plan.law {
+            Law::Ledger | Law::Auto if !ledger_goes_on => {
+                // Raw vouches for no energy; the others for what their spring stores.
+                let reading = old.profile.read(self.encoder.count());
+                let stored_j = match self.in_force {
+                    Law::Static | Law::Episode => {
+                        self.applied_nm_rad * old.profile.potential_rad2(&reading)
+                    }
+                    Law::Raw | Law::Ledger | Law::Auto => 0.0,
+                };
+                self.ledger = Ledger::new(&plan.ledger, self.ledger.held_nm, stored_j);
+            }
+            Law::Raw | Law::Static | Law::Episode if self.in_force == Law::Ledger => {
+                self.applied_nm_rad = 0.0;
+            }
+            _ => {}
+        }
+        self.in_force = match plan.law {
+            Law::Auto => Law::Ledger,
+            law => law,
+        };
         self.plan = plan;
     }
 
@@ -296,33 +173,75 @@ impl Controller {
         &self.plan
     }
 
-    /// One sample: takes the hardware counter, returns the torque to hold.
-    pub fn tick(&mut self, hardware_counter: u32) -> Tick {
-        let plan = &self.plan;
+    /// One sample: takes the hardware counter and the time since the last sample (s, above 0),
+    /// returns the torque to hold.
+    pub fn tick(&mut self, hardware_counter: u32, duration_s: f32) -> Tick {
         let before = self.encoder.count();
         let count = self.encoder.update(hardware_counter);
         let moved = count.wrapping_sub(before);
-        // `moved` counts in one period put the mean speed between these, in counts.
+        let reading = self.plan.profile.read(count);
         let counts = moved.unsigned_abs();
-        let slow = counts.saturating_sub(1) as f32;
-        let fast = counts.saturating_add(1) as f32;
+        let speed_step = self.plan.ledger.mechanics.count_rad / duration_s;
+        let fast = counts.saturating_add(1) as f32 * speed_step;
+        let seen = self.seen;
+        self.seen = true;
+        let (torque, stiffness, reason) = match self.plan.law {
+            Law::Raw | Law::Static | Law::Episode => {
+                self.clamped(&reading, fast, seen, moved, speed_step)
+            }
+            Law::Ledger => self.ledgered(&reading, seen, moved, duration_s, speed_step),
+            Law::Auto => {
+                self.automatic(&reading, before, fast, seen, moved, duration_s, speed_step)
+            }
+        };
+        let plan = &self.plan;
+        let fast = if plan.law == Law::Raw {
+            let mobility = plan.ledger.mechanics.mobility;
+            reachable_speed_rad_s(fast, stiffness, reading.pull_rad, mobility)
+        } else {
+            fast
+        };
+        let slow = counts.saturating_sub(1) as f32 * speed_step;
+        Tick {
+            count,
+            moved,
+            torque_nm: torque,
+            stiffness_nm_rad: stiffness,
+            margin_nm: plan.criterion.worst_power_margin_nm(stiffness, slow, fast),
+            account_j: if self.in_force == Law::Ledger {
+                self.ledger.account_j
+            } else {
+                0.0
+            },
+            law: self.in_force,
+            reason,
+        }
+    }
 
-        let deflection = plan.spring.deflection_rad(count);
-        let free = plan.spring.side() == Side::Above && deflection <= 0.0;
-        let zero_force = free || deflection.abs() <= plan.half_count_rad;
-
+    /// The raw, the static and the episode law.
+    #[inline]
+    fn clamped(
+        &mut self,
+        reading: &Reading,
+        fast: f32,
+        seen: bool,
+        moved: i32,
+        speed_step: f32,
+    ) -> (f32, f32, Reason) {
+        let plan = &self.plan;
+        let zero_force =
+            reading.free || reading.deflection_rad.abs() <= plan.ledger.mechanics.half_count_rad;
         let mut target = plan.limit_nm_rad;
         let mut reason = plan.limit_reason;
         if plan.law == Law::Episode {
-            // Where 2b/T < 2c/Δ the limit falls with speed, so the fast end is the worse
+            // Where 2b/Te < 2c/Δ the limit falls with speed, so the fast end is the worse
             // one; else it never falls below 2c/Δ, which the target keeps to anyway.
-            let now = if self.seen {
-                plan.criterion
-                    .largest_stiffness_at(fast * plan.count_speed_rad_s)
+            let now = if seen {
+                plan.criterion.largest_stiffness_at(fast)
             } else {
                 plan.criterion.largest_stiffness()
             };
-            if (zero_force && self.seen) || now < self.contact_limit_nm_rad {
+            if (zero_force && seen) || now < self.contact_limit_nm_rad {
                 self.contact_limit_nm_rad = now;
             }
             if self.contact_limit_nm_rad < target {
@@ -335,34 +254,177 @@ impl Controller {
         } else {
             reason = Reason::ZeroForce;
         }
-        self.seen = true;
-
         let stiffness = self.applied_nm_rad;
-        let mut torque = if free { 0.0 } else { -(stiffness * deflection) };
-        if torque.abs() > plan.torque_max_nm {
-            torque = if torque > 0.0 {
-                plan.torque_max_nm
-            } else {
-                -plan.torque_max_nm
+        let (torque, limited) = self.spring_torque(reading, moved, speed_step);
+        self.ledger.held_nm = torque;
+        (
+            torque,
+            stiffness,
+            if limited { Reason::Torque } else { reason },
+        )
+    }
+
+    /// The profile's torque at the applied stiffness, with as much virtual damping as the stiffness
+    /// leaves room for, within the torque limit; true if that acts.
+    #[inline]
+    fn spring_torque(&self, reading: &Reading, moved: i32, speed_step: f32) -> (f32, bool) {
+        let plan = &self.plan;
+        let stiffness = self.applied_nm_rad;
+        let mut torque = stiffness * reading.pull_rad;
+        if plan.demanded_damping > 0.0 && !reading.free {
+            let damping = match plan.law {
+                Law::Raw => plan.demanded_damping,
+                _ => smaller(plan.demanded_damping, plan.damping_limit(stiffness)),
             };
-            reason = Reason::Torque;
+            torque -= damping * (moved as f32 * speed_step);
         }
-        Tick {
-            count,
+        let most = plan.torque_max_nm;
+        let limited = torque.abs() > most;
+        if limited {
+            torque = if torque > 0.0 { most } else { -most };
+        }
+        if plan.law != Law::Raw {
+            torque = plan.ledger.cut(torque);
+        }
+        (torque, limited)
+    }
+
+    /// The ledger.
+    #[inline]
+    fn ledgered(
+        &mut self,
+        reading: &Reading,
+        seen: bool,
+        moved: i32,
+        duration_s: f32,
+        speed_step: f32,
+    ) -> (f32, f32, Reason) {
+        let plan = &self.plan;
+        if seen {
+            self.ledger.enter(&plan.ledger, moved as f32, duration_s);
+        }
+        self.ledger.account(
+            &plan.ledger,
+            &plan.tuning(),
             moved,
-            torque_nm: torque,
-            stiffness_nm_rad: stiffness,
-            margin_nm: plan.criterion.worst_power_margin_nm(
-                stiffness,
-                slow,
-                fast,
-                plan.count_speed_rad_s,
-            ),
-            reason,
+            duration_s,
+            plan.ledger.stiffness * reading.pull_rad,
+        );
+        self.ledger_torque(reading, moved, speed_step)
+    }
+
+    #[inline]
+    fn ledger_torque(
+        &mut self,
+        reading: &Reading,
+        moved: i32,
+        speed_step: f32,
+    ) -> (f32, f32, Reason) {
+        let plan = &self.plan.ledger;
+        let mut wanted = plan.stiffness * reading.pull_rad;
+        let spring = wanted;
+        if plan.damping > 0.0 && !reading.free {
+            wanted -= plan.damping * (moved as f32 * speed_step);
         }
+        let (torque, reason) = self.ledger.torque(plan, &self.plan.tuning(), moved, wanted);
+        // Less than the whole torque is less than the whole stiffness.
+        let stiffness = if torque.abs() < spring.abs() {
+            torque / reading.pull_rad
+        } else {
+            plan.stiffness
+        };
+        self.applied_nm_rad = stiffness;
+        (
+            torque,
+            if stiffness > 0.0 { stiffness } else { 0.0 },
+            reason,
+        )
+    }
+
+    /// The cheapest law that applies the whole demand, or the ledger.
+    #[inline]
+    #[expect(clippy::too_many_arguments)]
+    fn automatic(
+        &mut self,
+        reading: &Reading,
+        before: i32,
+        fast: f32,
+        seen: bool,
+        moved: i32,
+        duration_s: f32,
+        speed_step: f32,
+    ) -> (f32, f32, Reason) {
+        let plan = &self.plan;
+        let demanded = plan.demanded_nm_rad();
+        // The static limit holds the whole demand; or that of the speeds of the moment does.
+        let plain = plan.limit_reason == Reason::None;
+        let cheap = plain
+            || (plan.episode_may_do
+                && seen
+                && demanded <= plan.criterion.largest_stiffness_at(fast));
+        let spring_law = if plain { Law::Static } else { Law::Episode };
+        if self.in_force != Law::Ledger {
+            if !plain {
+                self.ledger.enter(&plan.ledger, moved as f32, duration_s);
+            }
+            if cheap {
+                return self.plain_spring(spring_law, reading, moved, speed_step);
+            }
+            // The speed has grown beyond what the spring is good for: the ledger takes over, as
+            // of the last tick, with what the spring stored.
+            let stored =
+                self.applied_nm_rad * plan.profile.potential_rad2(&plan.profile.read(before));
+            self.ledger.take_over(&plan.ledger, stored);
+            self.in_force = Law::Ledger;
+        } else if seen {
+            self.ledger.enter(&plan.ledger, moved as f32, duration_s);
+        }
+        let plan = &self.plan;
+        self.ledger.account(
+            &plan.ledger,
+            &plan.tuning(),
+            moved,
+            duration_s,
+            plan.ledger.stiffness * reading.pull_rad,
+        );
+        if cheap && seen {
+            let reach = reading.pull_rad.abs() + plan.ledger.mechanics.half_count_rad;
+            let stores = if reading.free {
+                0.0
+            } else {
+                0.5 * demanded * (reach * reach)
+            };
+            if self.ledger.covers(stores, demanded * reading.pull_rad) {
+                self.in_force = spring_law;
+                return self.plain_spring(spring_law, reading, moved, speed_step);
+            }
+        }
+        self.ledger_torque(reading, moved, speed_step)
+    }
+
+    #[inline]
+    fn plain_spring(
+        &mut self,
+        law: Law,
+        reading: &Reading,
+        moved: i32,
+        speed_step: f32,
+    ) -> (f32, f32, Reason) {
+        self.in_force = law;
+        self.applied_nm_rad = self.plan.demanded_nm_rad();
+        let (torque, limited) = self.spring_torque(reading, moved, speed_step);
+        self.ledger.hold(&self.plan.ledger, torque);
+        (
+            torque,
+            self.applied_nm_rad,
+            if limited {
+                Reason::Torque
+            } else {
+                Reason::None
+            },
+        )
     }
 }
-
 #[cfg(test)]
 mod tests {
     use super::*;

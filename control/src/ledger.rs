@@ -1,0 +1,298 @@
+//! The energy ledger: a spring that pays for sampling with energy that was measured.
+//!
+//! A stiff sampled spring makes energy. Instead of forbidding the stiffness that could, the
+//! ledger measures what the knob has put in, and never gives out more:
+//!
+//! 1. **Intervals.** Velocity and position from the counts ([`crate::motion`]).
+//! 2. **Account.** S += −F·(mid[x] − mid[x]₋₁) + η·(c·path + b·((|n|−1)₊·Δ)²/dt): what the torque F
+//!    that was held took in, and a share η of what friction surely took. path = (|n| − [turned])·Δ: of
+//!    n counts only |n| − 1 are sure to have been travelled after a turn.
+//! 3. **No credit carried.** S = min(S, 0) out of contact (F = 0 or no nominal torque), and
+//!    where a minimum of the potential was passed.
+//! 4. **Torque.** s = max(0, S − w|F|/2), w the width of \[x\], is what is surely there. With
+//!    d = T·(lowest speed against the nominal torque),
+//!    L(K, d) = 2s/(|d| + √(d² + 2s/K)) + max(ηc, 2Kd), and M = L(K, d − Δ). Where the knob does not
+//!    move outward and F already pushes the nominal way, M = max(M, min(|F|, L(m/Te², d))).
+//!    The torque is the nominal one, clamped to ±M.
+//! 5. **Charge.** S −= |F − F₋₁|·w/2.
+//!
+//! *Why it is sound.* Over all motions that the counts allow and that end at x, the worst
+//! account is affine in x with slope −F; steps 2 and 5 are that update at the middle of \[x\], and
+//! s is its minimum over \[x\]. For the bare rotor work less friction is the change of kinetic
+//! energy, so a tick is safe if v² at its end is at most v² + 2s/m; with Coulomb friction in both
+//! phases of a reversal that means F² − PF ≤ ηcG + η²c², which L satisfies (G its first term,
+//! P = G + 2Kd, K ≤ m/T²). The share (1 − η)·c·path is never credited, so the path is finite
+//! and no cycle persists. The nominal torque does not enter: demand, shape and limits may change in
+//! any tick.
+//!
+//! *Delay and lag.* A torque computed now acts `delay` later: intervals are carried ahead under
+//! the torque in force until then. An amplifier with time constant τ goes on with the
+//! old torque for τ more: that is reckoned with the fastest and the slowest speed.
+//!
+//! *Assumed:* m, b, c, the timing and the torque as believed, and a hand that leaves velocity and
+//! position in their intervals. Nothing is said beyond: see `docs/limits.md`.
+
+use crate::motion::{Motion, Span, UNKNOWN_VELOCITY};
+use crate::plan::LedgerPlan;
+use crate::real::smaller;
+use crate::root::root;
+use crate::tick::Reason;
+use crate::tuning::Tuning;
+
+/// The account of one knob.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Ledger {
+    pub motion: Motion,
+    /// S, J.
+    pub account_j: f32,
+    /// The torque commanded last, Nm.
+    pub held_nm: f32,
+    /// The one before it, which acts until the delay is over.
+    before_nm: f32,
+    /// What the amplifier gives now, Nm.
+    lagging_nm: f32,
+    /// Direction of the last movement: −1, 0, 1.
+    direction: i32,
+    /// The profile's torque in the last tick, Nm.
+    nominal_nm: f32,
+    /// The middle of the position when the torque changes, relative to the cell, rad.
+    middle_rad: f32,
+    /// Its width, rad.
+    width_rad: f32,
+    /// The velocity then, rad/s.
+    velocity: Span,
+}
+
+impl Ledger {
+    /// A knob that was not followed, under a torque, with so much energy in the spring.
+    pub fn new(plan: &LedgerPlan, held_nm: f32, stored_j: f32) -> Self {
+        Self {
+            motion: Motion::unknown(&plan.mechanics),
+            account_j: stored_j,
+            held_nm,
+            before_nm: held_nm,
+            lagging_nm: held_nm,
+            direction: 0,
+            nominal_nm: held_nm,
+            middle_rad: 0.0,
+            width_rad: plan.mechanics.count_rad,
+            velocity: UNKNOWN_VELOCITY,
+        }
+    }
+
+    /// Enters the tick that is over: `moved` counts in `duration_s`.
+    #[inline]
+    pub fn enter(&mut self, plan: &LedgerPlan, moved: f32, duration_s: f32) {
+        let mut torque = Span {
+            low: self.held_nm,
+            high: self.held_nm,
+        };
+        if plan.delay_s > 0.0 || plan.lag_s > 0.0 {
+            for other in [self.before_nm, self.lagging_nm] {
+                if other < torque.low {
+                    torque.low = other;
+                }
+                if other > torque.high {
+                    torque.high = other;
+                }
+            }
+        }
+        self.motion
+            .enter(&plan.mechanics, moved, duration_s, torque);
+    }
+
+    /// Goes on from a spring that stored so much energy at the last tick, where nobody had
+    /// followed the position; the tick that is over has been entered.
+    pub fn take_over(&mut self, plan: &LedgerPlan, stored_j: f32) {
+        self.motion.forget_position(&plan.mechanics);
+        self.account_j = stored_j;
+        self.direction = 0;
+        self.middle_rad = 0.0;
+        self.nominal_nm = self.held_nm;
+    }
+
+    /// Steps 1 to 3 for the tick entered last; `nominal_nm` is the profile's torque now.
+    #[inline]
+    pub fn account(
+        &mut self,
+        plan: &LedgerPlan,
+        tuning: &Tuning,
+        moved: i32,
+        duration_s: f32,
+        nominal_nm: f32,
+    ) {
+        let mechanics = &plan.mechanics;
+        let held = self.held_nm;
+        // 1. Intervals, at the time when the torque of this tick will act.
+        self.motion.follow(mechanics, tuning);
+        let (mut position, mut velocity) = (self.motion.position(), self.motion.velocity());
+        if plan.delay_s > 0.0 {
+            let acceleration = self.motion.acceleration();
+            let gained = Span {
+                low: acceleration.low * plan.delay_s,
+                high: acceleration.high * plan.delay_s,
+            };
+            position.low += (velocity.low + 0.5 * gained.low) * plan.delay_s;
+            position.high += (velocity.high + 0.5 * gained.high) * plan.delay_s;
+            velocity.low += gained.low;
+            velocity.high += gained.high;
+        }
+        let middle = position.middle();
+        self.width_rad = position.width();
+        self.velocity = velocity;
+
+        // 2. Account.
+        let counts = moved.unsigned_abs();
+        let sign = moved.signum();
+        self.account_j -= held * (middle - self.middle_rad + moved as f32 * mechanics.count_rad);
+        self.middle_rad = middle;
+        if counts > 0 && tuning.friction {
+            let sure = (counts - 1) as f32 * mechanics.count_rad;
+            let path = if sign == self.direction {
+                counts as f32 * mechanics.count_rad
+            } else {
+                sure
+            };
+            self.account_j += tuning.credit
+                * (mechanics.coulomb_low * path
+                    + mechanics.viscous_low * (sure * sure) / duration_s);
+        }
+
+        // 3. No credit carried.
+        let passed = nominal_nm * self.nominal_nm < 0.0 && nominal_nm * (sign as f32) < 0.0;
+        if tuning.no_carry && self.account_j > 0.0 && (held == 0.0 || nominal_nm == 0.0 || passed) {
+            self.account_j = 0.0;
+        }
+        self.nominal_nm = nominal_nm;
+    }
+
+    /// Whether the account holds `stores_j` after a change to a torque.
+    #[inline]
+    pub fn covers(&self, stores_j: f32, torque_nm: f32) -> bool {
+        self.account_j - 0.5 * self.width_rad * (torque_nm - self.held_nm).abs() >= stores_j
+    }
+
+    /// Steps 4 and 5 after [`Ledger::account`]; returns the torque, and why it is less.
+    #[inline]
+    pub fn torque(
+        &mut self,
+        plan: &LedgerPlan,
+        tuning: &Tuning,
+        moved: i32,
+        wanted: f32,
+    ) -> (f32, Reason) {
+        let held = self.held_nm;
+        let (width, velocity) = (self.width_rad, self.velocity);
+        // 4. Torque.
+        let mut sure_j = self.account_j - 0.5 * width * held.abs();
+        if plan.lag_s > 0.0 {
+            let with = if self.lagging_nm > 0.0 {
+                velocity.high
+            } else {
+                -velocity.low
+            };
+            if with > 0.0 {
+                sure_j -= self.lagging_nm.abs() * plan.lag_s * with;
+            }
+        }
+        if !(sure_j > 0.0) {
+            sure_j = 0.0;
+        }
+        let against = if wanted > 0.0 {
+            -velocity.high
+        } else {
+            velocity.low
+        };
+        let reach = plan.longest_s * against;
+        let friction = tuning.credit * plan.mechanics.coulomb_low;
+        let short = if tuning.count_margin {
+            reach - plan.mechanics.count_rad
+        } else {
+            reach
+        };
+        let mut limit = limit_nm(sure_j, plan.stiffness, plan.compliance, short, friction);
+        if tuning.holding && wanted * (moved.signum() as f32) >= 0.0 && wanted * held > 0.0 {
+            let holding = smaller(
+                limit_nm(
+                    sure_j,
+                    plan.holding,
+                    plan.holding_compliance,
+                    reach,
+                    friction,
+                ),
+                held.abs(),
+            );
+            if holding > limit {
+                limit = holding;
+            }
+        }
+        let mut reason = plan.reason;
+        if limit > plan.torque_max_nm || !tuning.limit {
+            limit = plan.torque_max_nm;
+            if wanted.abs() > limit {
+                reason = Reason::Torque;
+            }
+        } else if wanted.abs() > limit {
+            reason = if self.motion.contradicted() {
+                Reason::Hand
+            } else {
+                Reason::Account
+            };
+        }
+        let torque = plan.cut(if wanted > limit {
+            limit
+        } else if wanted < -limit {
+            -limit
+        } else {
+            wanted
+        });
+
+        // 5. Charge.
+        if tuning.charge {
+            self.account_j -= (torque - held).abs() * (0.5 * width);
+        }
+        if plan.lag_s > 0.0 {
+            // Until the amplifier has followed, the knob takes −(old − new)·∫v less in.
+            let left = (self.lagging_nm - torque) * plan.lag_s;
+            let worst = if left > 0.0 {
+                velocity.high
+            } else {
+                velocity.low
+            };
+            self.account_j -= left * worst;
+        }
+        if moved != 0 {
+            self.direction = moved.signum();
+        } else if torque == 0.0 {
+            self.direction = 0;
+        }
+        self.hold(plan, torque);
+        (torque, reason)
+    }
+
+    /// Takes note of the torque that is commanded.
+    #[inline]
+    pub fn hold(&mut self, plan: &LedgerPlan, torque_nm: f32) {
+        self.before_nm = self.held_nm;
+        self.held_nm = torque_nm;
+        self.lagging_nm = torque_nm + (self.lagging_nm - torque_nm) * plan.lag_left;
+    }
+}
+
+/// L(K, d) = 2s/(|d| + √(d² + 2s/K)) + max(ηc, 2Kd), Nm.
+#[inline]
+fn limit_nm(sure_j: f32, stiffness: f32, compliance: f32, reach_rad: f32, friction: f32) -> f32 {
+    let twice = 2.0 * sure_j;
+    let size = reach_rad.abs() + root(reach_rad * reach_rad + twice * compliance);
+    let braking = 2.0 * stiffness * reach_rad;
+    let braking = if braking > friction {
+        braking
+    } else {
+        friction
+    };
+    if size > 0.0 {
+        twice / size + braking
+    } else {
+        braking
+    }
+}
