@@ -44,6 +44,16 @@ impl EncoderConfig {
     }
 }
 
+impl Default for EncoderConfig {
+    /// A counter of 32 bits, not decimated.
+    fn default() -> Self {
+        Self {
+            shift: 0,
+            decimation: NonZeroU32::MIN,
+        }
+    }
+}
+
 /// Follows a wrapping hardware counter and divides it, rounding down.
 ///
 /// The count itself wraps after 2³² counts; whatever is measured from it is a

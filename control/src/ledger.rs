@@ -211,7 +211,7 @@ impl Ledger {
             reach
         };
         let mut limit = limit_nm(sure_j, plan.stiffness, plan.compliance, short, friction);
-        if tuning.holding && wanted * (moved.signum() as f32) >= 0.0 && wanted * held > 0.0 {
+        if tuning.holding && wanted * (moved.signum() as f32) <= 0.0 && wanted * held > 0.0 {
             let holding = smaller(
                 limit_nm(
                     sure_j,

@@ -89,6 +89,8 @@ pub struct Plan {
     period_s: f32,
     /// Δ/T, rad/s: the speed of one count per sample.
     count_speed_rad_s: f32,
+    /// T_max/m, rad/s per Nm: what a torque adds to the speed until the next tick.
+    pub(crate) speed_per_nm: f32,
     /// T/Δ, s/rad.
     periods_per_rad: f32,
     /// The demand is passive at rest, so that the episode may apply it while slow.
@@ -160,6 +162,10 @@ impl Plan {
             },
             torque_max_nm,
             period_s: timing.period_s as f32,
+            speed_per_nm: not_negative(
+                "sample period / inertia (rad/s per Nm)",
+                (timing.longest_s() / config.believed.inertia_kg_m2.low) as f32,
+            )?,
             periods_per_rad: positive(
                 "sample period / count (s/rad)",
                 (timing.shortest_s() / count_rad) as f32,
@@ -189,6 +195,15 @@ impl Plan {
     #[must_use]
     pub fn demanded_nm_rad(&self) -> f32 {
         self.demanded_nm_rad
+    }
+
+    /// The most stiffness that the law applies whatever happens, Nm/rad: the demand or its cap.
+    #[must_use]
+    pub fn applied_limit_nm_rad(&self) -> f64 {
+        f64::from(match self.law {
+            Law::Ledger | Law::Auto => self.ledger.stiffness,
+            Law::Raw | Law::Static | Law::Episode => self.limit_nm_rad,
+        })
     }
 
     /// T, s.

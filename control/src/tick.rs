@@ -14,7 +14,8 @@
 //! at the speeds of the moment; else the ledger. From the spring to the ledger the account begins
 //! with what the spring stores, K·U(q), ⅛KΔ² less than the quantised potential (16), which
 //! pays for what sampling may have made. Back to the spring only when the account holds all that
-//! the spring would: S − |F − K·u|·w/2 ≥ K·(½(|u| + Δ/2)²), u the torque over the stiffness.
+//! the spring could anywhere in its cell: S − |F − K·u|·w/2 ≥ K·(U(q) + ½Δ|u| + ⅛Δ²), u the torque and U
+//! the potential over the stiffness.
 //! So a change adds no energy, in contact or out of it.
 
 use crate::config::Law;
@@ -167,6 +168,15 @@ impl Controller {
         self.encoder.hardware_count()
     }
 
+    #[doc(hidden)]
+    pub fn debug(&self) -> impl core::fmt::Debug {
+        (
+            self.ledger.motion.position(),
+            self.ledger.motion.velocity(),
+            self.ledger.motion.hand_rad_s2(),
+        )
+    }
+
     /// The plan in force.
     #[must_use]
     pub fn plan(&self) -> &Plan {
@@ -237,7 +247,8 @@ impl Controller {
             // Where 2b/Te < 2c/Δ the limit falls with speed, so the fast end is the worse
             // one; else it never falls below 2c/Δ, which the target keeps to anyway.
             let now = if seen {
-                plan.criterion.largest_stiffness_at(fast)
+                let coming = fast + self.applied_nm_rad * reading.pull_rad.abs() * plan.speed_per_nm;
+                plan.criterion.largest_stiffness_at(coming)
             } else {
                 plan.criterion.largest_stiffness()
             };
@@ -361,7 +372,10 @@ impl Controller {
         let cheap = plain
             || (plan.episode_may_do
                 && seen
-                && demanded <= plan.criterion.largest_stiffness_at(fast));
+                && demanded
+                    <= plan.criterion.largest_stiffness_at(
+                        fast + demanded * reading.pull_rad.abs() * plan.speed_per_nm,
+                    ));
         let spring_law = if plain { Law::Static } else { Law::Episode };
         if self.in_force != Law::Ledger {
             if !plain {
@@ -388,11 +402,14 @@ impl Controller {
             plan.ledger.stiffness * reading.pull_rad,
         );
         if cheap && seen {
-            let reach = reading.pull_rad.abs() + plan.ledger.mechanics.half_count_rad;
+            // The potential anywhere in the cell, at most.
+            let half = plan.ledger.mechanics.half_count_rad;
             let stores = if reading.free {
                 0.0
             } else {
-                0.5 * demanded * (reach * reach)
+                demanded
+                    * (plan.profile.potential_rad2(reading)
+                        + half * (reading.pull_rad.abs() + 0.5 * half))
             };
             if self.ledger.covers(stores, demanded * reading.pull_rad) {
                 self.in_force = spring_law;

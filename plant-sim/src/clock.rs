@@ -36,6 +36,16 @@ pub enum ClockError {
 }
 
 impl Clock {
+    /// A tick every `period_s`.
+    #[must_use]
+    pub fn even(period_s: f64) -> Self {
+        Self {
+            period_s,
+            jitter_s: 0.0,
+            missed_ticks: 0.0,
+        }
+    }
+
     /// # Errors
     /// Refuses a period not finite and above 0, a jitter negative or not below the period,
     /// and a share of missed ticks outside 0 to ½.

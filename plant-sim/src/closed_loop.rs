@@ -85,6 +85,11 @@ pub struct Report {
     /// Largest kinetic energy − `energy_start_j` − work of the hand over the run; at most 0
     /// if passive.
     pub energy_excess_j: f64,
+    /// Largest work of the motor − what the knob's friction took over the run: what was given
+    /// out, whatever the springs store.
+    pub given_out_j: f64,
+    /// Work of the hand on the knob, J.
+    pub hand_work_j: f64,
     /// Generated, dissipated and given out beyond the potential of the applied profile.
     pub ledger: Ledger,
     /// The least and the most that the ledger's account held, J.
@@ -188,6 +193,8 @@ impl Scene {
             max_stiffness_nm_rad: 0.0,
             energy_start_j,
             energy_excess_j: kinetic(state) - energy_start_j,
+            given_out_j: 0.0,
+            hand_work_j: 0.0,
             ledger: Ledger::default(),
             account_j: [f64::INFINITY, f64::NEG_INFINITY],
             reversals_last_eighth: 0,
@@ -247,6 +254,9 @@ impl Scene {
                 dissipated: interval.friction_j,
             });
             given_j += interval.motor_work_j - interval.friction_j;
+            if std::env::var("DBG").is_ok() { println!("{number} x {:.3} v {:+.4} dn {} F {torque:+.6} K {:.4} acc {:+.3e} given {given_j:+.4e} {:?} {:?}", state.position / count_rad, state.velocity, tick.moved, tick.stiffness_nm_rad, tick.account_j, tick.law, tick.reason); }
+            report.given_out_j = report.given_out_j.max(given_j);
+            report.hand_work_j += interval.hand_work_j;
             report.peak_angle_rad = report.peak_angle_rad.max(interval.furthest_rad);
             state = interval.end;
             report.samples = number + 1;

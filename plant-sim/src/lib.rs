@@ -19,6 +19,7 @@
 //! Barbagli, Salisbury, "A Criterion for the Passivity of Haptic Devices" (2005).
 #![forbid(unsafe_code)]
 
+pub mod campaign;
 pub mod clock;
 pub mod closed_loop;
 pub mod display;
@@ -35,3 +36,4 @@ pub mod outcome;
 pub mod preset;
 mod series;
 mod sprung;
+pub mod trial;
