@@ -88,11 +88,8 @@ const SAME_TIME: f64 = 1e-9;
 const PIECES: f64 = 4.0;
 
 /// Pieces per √(that rate × the plant's): fourth order, 1.4e-3·(plant rate·h)²·(torque rate·h)²/n⁴
-/// of F·h²/m is 7e-8.
-const PIECES_OF_BOTH: f64 = 12.0;
-
-/// The most pieces that a torque which shakes is cut into between two commands, at least.
-const MOST_PIECES: f64 = 1000.0;
+/// of F·h²/m is 2e-8.
+const PIECES_OF_BOTH: f64 = 16.0;
 
 /// A piece with a turn is halved so many times.
 const HALVINGS: u32 = 10;
@@ -134,7 +131,8 @@ pub struct Knob {
     actuator: Actuator,
     /// Of the shake, in turns.
     phase: f64,
-    /// How fast the plant answers, 1/s: the larger of (b + B)/(m + M) and √(K_h/(m + M)).
+    /// How fast the plant answers, 1/s: the larger of (b + B)/(m + M) and √(K_h/(m + M)), up to
+    /// 1000 per period, so that pieces stay below some 4000 in a period.
     plant_rate: f64,
 }
 
@@ -209,7 +207,9 @@ impl Knob {
             has_hand: !hand.is_absent(),
             actuator: Actuator::new(*drive),
             phase: 0.0,
-            plant_rate: omega0.max(joined.viscous_nm_s_rad / joined.inertia_kg_m2),
+            plant_rate: omega0
+                .max(joined.viscous_nm_s_rad / joined.inertia_kg_m2)
+                .min(FASTEST_HAND / period_s),
         })
     }
 
@@ -287,7 +287,7 @@ impl Knob {
     fn span(&mut self, length: f64, interval: &mut Interval) {
         let mut left = length;
         loop {
-            let longest = self.longest_piece(length - left).max(length / MOST_PIECES);
+            let longest = self.longest_piece(length - left);
             if longest == f64::INFINITY {
                 let start = self.state;
                 let (motor, hand) = (self.actuator.torque(), self.hand.push_nm);
