@@ -10,7 +10,7 @@
 //! # A torque that varies
 //! A lag or a shake is held constant over the halves of short pieces, so that each piece has
 //! the exact impulse and the exact first moment of the torque. A piece in which the motion
-//! turns, stops or breaks loose is halved, ten times at most. With δ the length of a piece:
+//! turns, stops or breaks loose, or may, is halved, ten times at most. With δ the length of a piece:
 //!
 //! - a mass without viscous friction and spring has no error at the ends of pieces;
 //! - else the error is of fourth order in δ, and pieces are so short that it stays below
@@ -18,7 +18,8 @@
 //!   interval of length h;
 //! - a turn or a break inside a piece is of second order in δ/1024: also within that bound.
 //!
-//! Pieces are at most ¼ of τ and of 1/(2πf); as the lag decays they grow, so that an
+//! Pieces are at most ¼ of τ and of 1/(2πf) and ½ of the plant's time, the shorter of
+//! (m + M)/(b + B) and √((m + M)/K_h); as the lag decays they grow, so that an
 //! amplifier much faster than the interval takes some 35 of them. Energies are those of the
 //! held torques, and balance to rounding.
 
@@ -90,6 +91,9 @@ const PIECES: f64 = 4.0;
 /// Pieces per √(that rate × the plant's): fourth order, 1.4e-3·(plant rate·h)²·(torque rate·h)²/n⁴
 /// of F·h²/m is 2e-8.
 const PIECES_OF_BOTH: f64 = 16.0;
+
+/// Pieces per unit of the plant's rate: the orders above hold for pieces shorter than it.
+const PIECES_OF_PLANT: f64 = 2.0;
 
 /// A piece with a turn is halved so many times.
 const HALVINGS: u32 = 10;
@@ -311,7 +315,10 @@ impl Knob {
     fn longest_piece(&self, age: f64) -> f64 {
         let longest = |rate: f64| {
             let both = (rate * self.plant_rate).sqrt();
-            (PIECES * rate).max(PIECES_OF_BOTH * both).recip()
+            (PIECES * rate)
+                .max(PIECES_OF_BOTH * both)
+                .max(PIECES_OF_PLANT * self.plant_rate)
+                .recip()
         };
         let mut piece = f64::INFINITY;
         if self.actuator.is_lagging() {
@@ -337,29 +344,42 @@ impl Knob {
         let first = self.half(&hold, start, motor1 + hand1);
         let second = self.half(&hold, first.end, motor2 + hand2);
 
-        if halvings > 0 {
-            let later =
-                self.actuator.torque_after(length) + self.hand.torque(self.phase_after(length));
-            let now = self.actuator.torque() + self.hand.torque(self.phase);
-            let (before, after) = (self.sticks(start, now), self.sticks(start, later));
-            if first.turned || second.turned || before != after {
-                self.piece(half, halvings - 1, interval);
-                self.piece(half, halvings - 1, interval);
-                return;
-            }
+        let turns = first.turned || second.turned;
+        if halvings > 0 && (turns || self.may_turn_unseen(start, second.end, length)) {
+            self.piece(half, halvings - 1, interval);
+            self.piece(half, halvings - 1, interval);
+            return;
         }
         self.enter(&first, motor1, hand1, interval);
         self.enter(&second, motor2, hand2, interval);
         self.pass(length);
     }
 
-    /// Whether a knob at rest would stay under a force.
-    fn sticks(&self, start: State, force: f64) -> bool {
-        let net = match &self.spring {
-            Some(spring) => spring.net(start.position, force),
+    /// Whether a motion from `start` to `end` that turns nowhere under the held torques may
+    /// do so under the varying one.
+    ///
+    /// From rest: if the torque at the end of the piece would take the knob elsewhere than that
+    /// at its start. Else: if it is braked at first, so that it would stand within the piece,
+    /// and driven on at the end.
+    fn may_turn_unseen(&self, start: State, end: State, length: f64) -> bool {
+        let now = self.actuator.torque() + self.hand.torque(self.phase);
+        let later = self.actuator.torque_after(length) + self.hand.torque(self.phase_after(length));
+        let net = |state: State, force: f64| match &self.spring {
+            Some(spring) => spring.net(state.position, force),
             None => force,
         };
-        start.velocity == 0.0 && net.abs() <= self.joined.coulomb_nm
+        if start.velocity == 0.0 {
+            let driving = |force| self.hold.breakaway(net(start, force));
+            let (now, later) = (driving(now), driving(later));
+            return (now > 0.0) != (later > 0.0) || (now < 0.0) != (later < 0.0);
+        }
+        let along = |state: State, force: f64| {
+            let force = net(state, force) - self.joined.viscous_nm_s_rad * state.velocity;
+            force * start.velocity.signum() - self.joined.coulomb_nm
+        };
+        let (now, later) = (along(start, now), along(end, later));
+        let momentum = self.joined.inertia_kg_m2 * start.velocity.abs();
+        now < 0.0 && later > 0.0 && momentum + now * length < 0.0
     }
 
     fn phase_after(&self, time: f64) -> f64 {
