@@ -10,12 +10,13 @@
 //! # A torque that varies
 //! A lag or a shake is held constant over the halves of short pieces, so that each piece has
 //! the exact impulse and the exact first moment of the torque. A piece in which the motion
-//! turns, stops or breaks loose, or may, is halved, ten times at most. With δ the length of a piece:
+//! turns, stops or breaks loose, or may, is halved, ten times at most. With δ the length of
+//! a piece:
 //!
 //! - a mass without viscous friction and spring has no error at the ends of pieces;
 //! - else the error is of fourth order in δ, and pieces are so short that it stays below
-//!   1e-6 of F·h²/(m + M) (position) and F·h/(m + M) (velocity), F the range of the torque in an
-//!   interval of length h;
+//!   1e-6 of F·h²/(m + M) (position) and F·h/(m + M) (velocity), F what the lag has to
+//!   make up plus twice the amplitude of the shake, h the length of the interval;
 //! - a turn or a break inside a piece is of second order in δ/1024: also within that bound.
 //!
 //! Pieces are at most ¼ of τ and of 1/(2πf) and ½ of the plant's time, the shorter of
