@@ -142,3 +142,119 @@ impl Iterator for Ticks {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn an_even_clock_is_even_to_the_bit() {
+        let clock = Clock {
+            period_s: 1e-3,
+            jitter_s: 0.0,
+            missed_ticks: 0.0,
+        };
+        assert!(clock.ticks(7).take(1000).all(|interval| interval == 1e-3));
+        assert_eq!(clock.longest_s(), 1e-3);
+    }
+
+    /// The generator's own numbers, so that a new version of it cannot change runs unseen.
+    #[test]
+    fn a_seed_gives_the_same_ticks_for_ever() {
+        let clock = Clock {
+            period_s: 1.0,
+            jitter_s: 0.5,
+            missed_ticks: 0.25,
+        };
+        let ticks: Vec<f64> = clock.ticks(1).take(4).collect();
+        let expected = [
+            1.953_775_368_730_091_4,
+            1.483_015_881_309_441,
+            1.864_108_215_192_362_3,
+            1.051_208_683_542_683_7,
+        ];
+        assert_eq!(ticks, expected);
+        assert_ne!(clock.ticks(2).take(4).collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn half_of_all_can_be_missed_and_no_more() {
+        let clock = Clock {
+            period_s: 1e-3,
+            jitter_s: 0.0,
+            missed_ticks: 0.5,
+        };
+        assert!(clock.ticks(3).take(1000).all(|interval| interval == 2e-3));
+    }
+
+    proptest! {
+        #[test]
+        fn intervals_keep_their_range_mean_and_share(
+            jitter in 0.0..0.99_f64,
+            missed in 0.0..0.5_f64,
+            seed: u64,
+        ) {
+            let clock = Clock { period_s: 1e-3, jitter_s: jitter * 1e-3, missed_ticks: missed };
+            prop_assert!(clock.check().is_ok());
+            let n = 100_000;
+            let ticks: Vec<f64> = clock.ticks(seed).take(n).collect();
+            let (mut least, mut most, mut sum) = (f64::INFINITY, 0.0_f64, 0.0);
+            for interval in ticks {
+                least = least.min(interval);
+                most = most.max(interval);
+                sum += interval;
+            }
+            prop_assert!(least >= clock.period_s - clock.jitter_s);
+            prop_assert!(most <= clock.longest_s());
+            // Of n/(1 − p) nominal ticks n ran: 5 standard deviations of what is missing.
+            let nominal = sum / clock.period_s;
+            let expected = n as f64 / (1.0 - missed);
+            prop_assert!((nominal - expected).abs() < 5.0 * 0.9 * (n as f64).sqrt(),
+                "{nominal}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_clock_is_refused_with_its_value_and_what_would_do() {
+        let good = Clock {
+            period_s: 1e-3,
+            jitter_s: 1e-4,
+            missed_ticks: 0.1,
+        };
+        assert_eq!(good.check(), Ok(()));
+        let refused = |clock: Clock| clock.check().unwrap_err().to_string();
+        for period_s in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let message = refused(Clock { period_s, ..good });
+            let wanted = "accepted: a finite number above 0";
+            assert_eq!(
+                message,
+                format!("sample period (s) is {period_s}; {wanted}")
+            );
+        }
+        for jitter_s in [-1e-9, f64::NAN, f64::INFINITY] {
+            let message = refused(Clock { jitter_s, ..good });
+            let wanted = "accepted: a finite number, 0 or more";
+            assert_eq!(message, format!("jitter (s) is {jitter_s}; {wanted}"));
+        }
+        assert_eq!(
+            refused(Clock {
+                jitter_s: 1e-3,
+                ..good
+            }),
+            "jitter is 0.001 s; accepted: below the sample period, 0.001 s"
+        );
+        for missed_ticks in [-0.1, 0.51, f64::NAN] {
+            assert_eq!(
+                refused(Clock {
+                    missed_ticks,
+                    ..good
+                }),
+                format!(
+                    "the share of missed ticks is {missed_ticks}; accepted: 0 to 0.5, \
+                     as no two in a row are missed"
+                )
+            );
+        }
+    }
+}

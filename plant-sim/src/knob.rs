@@ -10,15 +10,17 @@
 //! # A torque that varies
 //! A lag or a shake is held constant over the halves of short pieces, so that each piece has
 //! the exact impulse and the exact first moment of the torque. A piece in which the motion
-//! turns, stops or breaks loose is halved, ten times at most. With δ the length of a piece:
+//! turns, stops or breaks loose, or may, is halved, ten times at most. With δ the length of
+//! a piece:
 //!
 //! - a mass without viscous friction and spring has no error at the ends of pieces;
 //! - else the error is of fourth order in δ, and pieces are so short that it stays below
-//!   1e-6 of F·h²/(m + M) (position) and F·h/(m + M) (velocity), F the range of the torque in an
-//!   interval of length h;
+//!   1e-6 of F·h²/(m + M) (position) and F·h/(m + M) (velocity), F what the lag has to
+//!   make up plus twice the amplitude of the shake, h the length of the interval;
 //! - a turn or a break inside a piece is of second order in δ/1024: also within that bound.
 //!
-//! Pieces are at most ¼ of τ and of 1/(2πf); as the lag decays they grow, so that an
+//! Pieces are at most ¼ of τ and of 1/(2πf) and ½ of the plant's time, the shorter of
+//! (m + M)/(b + B) and √((m + M)/K_h); as the lag decays they grow, so that an
 //! amplifier much faster than the interval takes some 35 of them. Energies are those of the
 //! held torques, and balance to rounding.
 
@@ -88,11 +90,11 @@ const SAME_TIME: f64 = 1e-9;
 const PIECES: f64 = 4.0;
 
 /// Pieces per √(that rate × the plant's): fourth order, 1.4e-3·(plant rate·h)²·(torque rate·h)²/n⁴
-/// of F·h²/m is 7e-8.
-const PIECES_OF_BOTH: f64 = 12.0;
+/// of F·h²/m is 2e-8.
+const PIECES_OF_BOTH: f64 = 16.0;
 
-/// The most pieces that a torque which shakes is cut into between two commands, at least.
-const MOST_PIECES: f64 = 1000.0;
+/// Pieces per unit of the plant's rate: the orders above hold for pieces shorter than it.
+const PIECES_OF_PLANT: f64 = 2.0;
 
 /// A piece with a turn is halved so many times.
 const HALVINGS: u32 = 10;
@@ -134,7 +136,8 @@ pub struct Knob {
     actuator: Actuator,
     /// Of the shake, in turns.
     phase: f64,
-    /// How fast the plant answers, 1/s: the larger of (b + B)/(m + M) and √(K_h/(m + M)).
+    /// How fast the plant answers, 1/s: the larger of (b + B)/(m + M) and √(K_h/(m + M)), up to
+    /// 1000 per period, so that pieces stay below some 4000 in a period.
     plant_rate: f64,
 }
 
@@ -209,7 +212,9 @@ impl Knob {
             has_hand: !hand.is_absent(),
             actuator: Actuator::new(*drive),
             phase: 0.0,
-            plant_rate: omega0.max(joined.viscous_nm_s_rad / joined.inertia_kg_m2),
+            plant_rate: omega0
+                .max(joined.viscous_nm_s_rad / joined.inertia_kg_m2)
+                .min(FASTEST_HAND / period_s),
         })
     }
 
@@ -287,7 +292,7 @@ impl Knob {
     fn span(&mut self, length: f64, interval: &mut Interval) {
         let mut left = length;
         loop {
-            let longest = self.longest_piece(length - left).max(length / MOST_PIECES);
+            let longest = self.longest_piece(length - left);
             if longest == f64::INFINITY {
                 let start = self.state;
                 let (motor, hand) = (self.actuator.torque(), self.hand.push_nm);
@@ -311,7 +316,10 @@ impl Knob {
     fn longest_piece(&self, age: f64) -> f64 {
         let longest = |rate: f64| {
             let both = (rate * self.plant_rate).sqrt();
-            (PIECES * rate).max(PIECES_OF_BOTH * both).recip()
+            (PIECES * rate)
+                .max(PIECES_OF_BOTH * both)
+                .max(PIECES_OF_PLANT * self.plant_rate)
+                .recip()
         };
         let mut piece = f64::INFINITY;
         if self.actuator.is_lagging() {
@@ -337,29 +345,42 @@ impl Knob {
         let first = self.half(&hold, start, motor1 + hand1);
         let second = self.half(&hold, first.end, motor2 + hand2);
 
-        if halvings > 0 {
-            let later =
-                self.actuator.torque_after(length) + self.hand.torque(self.phase_after(length));
-            let now = self.actuator.torque() + self.hand.torque(self.phase);
-            let (before, after) = (self.sticks(start, now), self.sticks(start, later));
-            if first.turned || second.turned || before != after {
-                self.piece(half, halvings - 1, interval);
-                self.piece(half, halvings - 1, interval);
-                return;
-            }
+        let turns = first.turned || second.turned;
+        if halvings > 0 && (turns || self.may_turn_unseen(start, second.end, length)) {
+            self.piece(half, halvings - 1, interval);
+            self.piece(half, halvings - 1, interval);
+            return;
         }
         self.enter(&first, motor1, hand1, interval);
         self.enter(&second, motor2, hand2, interval);
         self.pass(length);
     }
 
-    /// Whether a knob at rest would stay under a force.
-    fn sticks(&self, start: State, force: f64) -> bool {
-        let net = match &self.spring {
-            Some(spring) => spring.net(start.position, force),
+    /// Whether a motion from `start` to `end` that turns nowhere under the held torques may
+    /// do so under the varying one.
+    ///
+    /// From rest: if the torque at the end of the piece would take the knob elsewhere than that
+    /// at its start. Else: if it is braked at first, so that it would stand within the piece,
+    /// and driven on at the end.
+    fn may_turn_unseen(&self, start: State, end: State, length: f64) -> bool {
+        let now = self.actuator.torque() + self.hand.torque(self.phase);
+        let later = self.actuator.torque_after(length) + self.hand.torque(self.phase_after(length));
+        let net = |state: State, force: f64| match &self.spring {
+            Some(spring) => spring.net(state.position, force),
             None => force,
         };
-        start.velocity == 0.0 && net.abs() <= self.joined.coulomb_nm
+        if start.velocity == 0.0 {
+            let driving = |force| self.hold.breakaway(net(start, force));
+            let (now, later) = (driving(now), driving(later));
+            return (now > 0.0) != (later > 0.0) || (now < 0.0) != (later < 0.0);
+        }
+        let along = |state: State, force: f64| {
+            let force = net(state, force) - self.joined.viscous_nm_s_rad * state.velocity;
+            force * start.velocity.signum() - self.joined.coulomb_nm
+        };
+        let (now, later) = (along(start, now), along(end, later));
+        let momentum = self.joined.inertia_kg_m2 * start.velocity.abs();
+        now < 0.0 && later > 0.0 && momentum + now * length < 0.0
     }
 
     fn phase_after(&self, time: f64) -> f64 {

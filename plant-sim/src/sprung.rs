@@ -244,3 +244,130 @@ impl Response {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hold::Hold;
+    use proptest::prelude::*;
+
+    /// From 10^low to 10^high.
+    fn decades(low: f64, high: f64) -> impl Strategy<Value = f64> {
+        (low..high).prop_map(|exponent| 10_f64.powf(exponent))
+    }
+
+    fn device(b: f64, c: f64) -> Device<f64> {
+        Device {
+            inertia_kg_m2: 1.0,
+            viscous_nm_s_rad: b,
+            coulomb_nm: c,
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(3000))]
+
+        /// The power series, composed, against the closed forms: below, near and above
+        /// critical damping, for short and for long times.
+        #[test]
+        fn the_closed_forms_continue_the_series(
+            p in decades(-3.0, 2.5),
+            ratio in prop_oneof![decades(-4.0, 2.0), (-1e-6..1e-6_f64).prop_map(|d| 1.0 + d), Just(1.0)],
+        ) {
+            // γ = p/2, ω₀ = γ·ratio, t = 1.
+            let omega0 = 0.5 * p * ratio;
+            let sprung = Sprung::new(&device(p, 0.0), omega0 * omega0, 0.0);
+            let pieces = p.max(omega0).ceil() as u32;
+            let (mut s, mut ds, mut q) = (0.0, 1.0, 0.0);
+            let dt = 1.0 / f64::from(pieces);
+            let r = Response::series(dt, p * dt, omega0 * omega0 * dt * dt);
+            for _ in 0..pieces {
+                // One more piece from (S, S′), and from (Q, S) with unit push.
+                let left = 1.0 - omega0 * omega0 * q;
+                (q, s, ds) = (
+                    q + s * r.reach + left * r.thrust,
+                    s * r.decay + left * r.reach,
+                    ds * r.decay - omega0 * omega0 * s * r.reach,
+                );
+            }
+            let got = sprung.response(1.0);
+            let tolerance = 4e-15 * (1.0 + f64::from(pieces));
+            prop_assert!((got.reach - s).abs() <= tolerance * s.abs().max(1.0 / p.max(omega0).max(1.0)),
+                "S {} {s}", got.reach);
+            prop_assert!((got.decay - ds).abs() <= tolerance, "S′ {} {ds}", got.decay);
+            prop_assert!((got.thrust - q).abs() <= tolerance * q, "Q {} {q}", got.thrust);
+        }
+
+        /// No spring, or one that hardly is, moves as the core does.
+        #[test]
+        fn without_a_spring_it_is_the_core(
+            b in prop_oneof![Just(0.0), decades(-8.0, 3.0)],
+            c in prop_oneof![Just(0.0), decades(-3.0, 2.0)],
+            k in prop_oneof![Just(0.0), Just(1e-300), Just(1e-20)],
+            v in -10.0..10.0_f64,
+            force in -10.0..10.0_f64,
+        ) {
+            let start = State { position: 0.0, velocity: v };
+            let hold = Hold::new(&device(b, c), 1.0).unwrap();
+            let step = hold.step(start, force);
+            let moved = Sprung::new(&device(b, c), k, 0.0).advance(start, force, 1.0);
+            let scale = v.abs() + force.abs() + c;
+            prop_assert!((moved.end.position - step.end.position).abs() <= 4e-15 * scale,
+                "{moved:?} {step:?}");
+            prop_assert!((moved.end.velocity - step.end.velocity).abs() <= 4e-15 * scale,
+                "{moved:?} {step:?}");
+        }
+
+        /// An interval cut anywhere ends where the whole one does.
+        #[test]
+        fn an_interval_may_be_cut_anywhere(
+            b in prop_oneof![Just(0.0), decades(-6.0, 2.0)],
+            c in prop_oneof![Just(0.0), decades(-3.0, 1.0)],
+            k in decades(-12.0, 4.0),
+            rest in -3.0..3.0_f64,
+            x in -3.0..3.0_f64,
+            v in prop_oneof![Just(0.0), -10.0..10.0_f64],
+            force in -10.0..10.0_f64,
+            cut in 0.0..1.0_f64,
+        ) {
+            let sprung = Sprung::new(&device(b, c), k, rest);
+            let start = State { position: x, velocity: v };
+            let whole = sprung.advance(start, force, 1.0);
+            let first = sprung.advance(start, force, cut);
+            let second = sprung.advance(first.end, force, 1.0 - cut);
+            let omega = k.sqrt().max(1.0);
+            let scale = (x - rest).abs() + 3.0 + (v.abs() + force.abs() / omega + c / omega) / omega;
+            let far = (whole.end.position - second.end.position).abs();
+            let fast = (whole.end.velocity - second.end.velocity).abs();
+            prop_assert!(far <= 1e-14 * omega * scale, "{far} {whole:?} {second:?}");
+            prop_assert!(fast <= 1e-14 * omega * omega * scale, "{fast} {whole:?} {second:?}");
+            let path = first.path + second.path;
+            prop_assert!((whole.path - path).abs() <= 1e-14 * omega * (scale + path));
+            let furthest = first.furthest.max(second.furthest);
+            prop_assert!((whole.furthest - furthest).abs() <= 1e-14 * omega * scale);
+        }
+    }
+
+    /// Coulomb friction alone takes 2c/k from every swing, and holds within ±c/k.
+    #[test]
+    fn swings_shrink_by_twice_c_over_k_and_stop() {
+        let sprung = Sprung::new(&device(0.0, 0.25), 1.0, 5.0);
+        let start = State {
+            position: 6.9,
+            velocity: 0.0,
+        };
+        // Deflections 1.9, −1.4, 0.9, −0.4, −0.4 + … = 0.1 after 4 half-periods.
+        for (half_periods, deflection) in [(1.0, -1.4), (2.0, 0.9), (3.0, -0.4), (4.0, -0.1)] {
+            let duration = half_periods * std::f64::consts::PI;
+            let moved = sprung.advance(start, 0.0, duration + 1e-9);
+            assert!(
+                (moved.end.position - 5.0 - deflection).abs() < 1e-12,
+                "{moved:?}"
+            );
+        }
+        let end = sprung.advance(start, 0.0, 100.0);
+        assert_eq!(end.end.velocity, 0.0);
+        assert_eq!(sprung.advance(end.end, 0.0, 100.0).end, end.end);
+        assert_eq!(end.furthest, 6.9);
+    }
+}
