@@ -80,6 +80,16 @@ impl Ledger {
         }
     }
 
+    /// A knob that rests in a spring under load.
+    pub fn at_rest(plan: &LedgerPlan, pull_nm: f32, stored_j: f32) -> Self {
+        let mut ledger = Self::new(plan, pull_nm, stored_j);
+        ledger.motion.rest();
+        // Nothing acts on it before the first torque.
+        ledger.before_nm = 0.0;
+        ledger.lagging_nm = 0.0;
+        ledger
+    }
+
     /// Enters the tick that is over: `moved` counts in `duration_s`.
     #[inline]
     pub fn enter(&mut self, plan: &LedgerPlan, moved: f32, duration_s: f32) {
@@ -192,7 +202,7 @@ impl Ledger {
                 -velocity.low
             };
             if with > 0.0 {
-                sure_j -= self.lagging_nm.abs() * plan.lag_s * with;
+                sure_j -= self.lagging_nm.abs() * plan.tau_s * with;
             }
         }
         if !(sure_j > 0.0) {
@@ -203,7 +213,7 @@ impl Ledger {
         } else {
             velocity.low
         };
-        let reach = plan.longest_s * against;
+        let reach = (plan.longest_s + plan.tau_s) * against;
         let friction = tuning.credit * plan.mechanics.coulomb_low;
         let short = if tuning.count_margin {
             reach - plan.mechanics.count_rad

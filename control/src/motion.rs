@@ -113,6 +113,14 @@ impl Motion {
         }
     }
 
+    /// It is known to be at rest.
+    pub fn rest(&mut self) {
+        self.velocity = Span {
+            low: 0.0,
+            high: 0.0,
+        };
+    }
+
     /// The position relative to the middle of the count's cell, rad.
     #[must_use]
     pub fn position(&self) -> Span {
@@ -281,6 +289,9 @@ impl Motion {
             }
         }
         let gap = low - high;
+        if self.known == 0 {
+            return gap; // as it was told
+        }
         self.velocity = if gap > 0.0 {
             newest
         } else {

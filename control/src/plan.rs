@@ -48,6 +48,8 @@ pub(crate) struct LedgerPlan {
     pub longest_s: f32,
     /// From the encoder's reading to the torque's change.
     pub delay_s: f32,
+    /// τ.
+    pub tau_s: f32,
     /// τ·(1 − e^(−T/τ)) ≤ τ: for how long the old torque goes on.
     pub lag_s: f32,
     /// What is left of the old torque after a period, e^(−T/τ), about.
@@ -89,11 +91,9 @@ pub struct Plan {
     period_s: f32,
     /// Δ/T, rad/s: the speed of one count per sample.
     count_speed_rad_s: f32,
-    /// T_max/m, rad/s per Nm: what a torque adds to the speed until the next tick.
-    pub(crate) speed_per_nm: f32,
     /// T/Δ, s/rad.
     periods_per_rad: f32,
-    /// The demand is passive at rest, so that the episode may apply it while slow.
+    /// The demand is passive at rest and within m/Te², so that the episode may apply it while slow.
     pub(crate) episode_may_do: bool,
     pub(crate) ledger: LedgerPlan,
     #[cfg(feature = "tuning")]
@@ -139,16 +139,23 @@ impl Plan {
             down * criterion.viscous_limit(),
             down * criterion.coulomb_limit(),
         );
+        let ledger = ledger_plan(config, &criterion, &tuning)?;
+        // An episode's spring must not throw the knob past its zero within a tick.
+        let (episode_limit, episode_reason) = if ledger.holding < coulomb_limit {
+            (ledger.holding, Reason::Inertia)
+        } else {
+            (coulomb_limit, Reason::Coulomb)
+        };
         let (limit, limit_reason) = match config.law {
             Law::Raw => (demanded, Reason::None),
-            Law::Episode => (coulomb_limit, Reason::Coulomb),
+            Law::Episode => (episode_limit, episode_reason),
             _ if viscous_limit < coulomb_limit => (viscous_limit, Reason::Viscous),
             _ => (coulomb_limit, Reason::Coulomb),
         };
         let timing = &config.timing;
         let count_rad = config.count_rad();
         Ok(Self {
-            ledger: ledger_plan(config, &criterion, &tuning)?,
+            ledger,
             profile,
             encoder: config.encoder,
             law: config.law,
@@ -162,15 +169,11 @@ impl Plan {
             },
             torque_max_nm,
             period_s: timing.period_s as f32,
-            speed_per_nm: not_negative(
-                "sample period / inertia (rad/s per Nm)",
-                (timing.longest_s() / config.believed.inertia_kg_m2.low) as f32,
-            )?,
             periods_per_rad: positive(
                 "sample period / count (s/rad)",
                 (timing.shortest_s() / count_rad) as f32,
             )?,
-            episode_may_do: demanded <= coulomb_limit,
+            episode_may_do: demanded <= episode_limit,
             count_speed_rad_s: positive(
                 "count / sample period (rad/s)",
                 (count_rad / timing.period_s) as f32,
@@ -315,6 +318,7 @@ fn ledger_plan(
         damping: smaller(config.damping_nm_s_rad as f32, damping_limit),
         longest_s: timing.longest_s() as f32,
         delay_s: timing.delay_s as f32,
+        tau_s: lag as f32,
         lag_s: (lag * (1.0 - lag_left)) as f32,
         lag_left: lag_left as f32,
         step_nm,

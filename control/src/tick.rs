@@ -91,16 +91,13 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller for a knob that stands at `hardware_count` counts from zero now, at rest, and
-    /// renders at once, also under load.
+    /// A controller for a knob that stands at `hardware_count` counts from zero now, and
+    /// renders at once, also under load. How it moves is not known, so the ledger begins empty.
     #[must_use]
     pub fn new(plan: Plan, hardware_count: i32) -> Self {
-        let encoder = Encoder::new(plan.encoder(), hardware_count);
-        let reading = plan.profile.read(encoder.count());
-        let stored_j = plan.ledger.stiffness * plan.profile.potential_rad2(&reading);
         Self {
             plan,
-            encoder,
+            encoder: Encoder::new(plan.encoder(), hardware_count),
             applied_nm_rad: match plan.law {
                 Law::Episode => smaller(plan.limit_nm_rad, plan.criterion.largest_stiffness()),
                 _ => plan.limit_nm_rad,
@@ -111,8 +108,23 @@ impl Controller {
                 Law::Auto => Law::Ledger,
                 law => law,
             },
-            ledger: Ledger::new(&plan.ledger, 0.0, stored_j),
+            ledger: Ledger::new(&plan.ledger, 0.0, 0.0),
         }
+    }
+
+    /// The same for a knob that is known to be at rest: the ledger begins with what the spring
+    /// stores under that load.
+    #[must_use]
+    pub fn at_rest(plan: Plan, hardware_count: i32) -> Self {
+        let mut controller = Self::new(plan, hardware_count);
+        let reading = plan.profile.read(controller.encoder.count());
+        let stiffness = plan.ledger.stiffness;
+        controller.ledger = Ledger::at_rest(
+            &plan.ledger,
+            stiffness * reading.pull_rad,
+            stiffness * plan.profile.potential_rad2(&reading),
+        );
+        controller
     }
 
     /// Lets go: no torque until the knob passes zero force, or under the ledger until it has
@@ -247,8 +259,7 @@ impl Controller {
             // Where 2b/Te < 2c/Δ the limit falls with speed, so the fast end is the worse
             // one; else it never falls below 2c/Δ, which the target keeps to anyway.
             let now = if seen {
-                let coming = fast + self.applied_nm_rad * reading.pull_rad.abs() * plan.speed_per_nm;
-                plan.criterion.largest_stiffness_at(coming)
+                plan.criterion.largest_stiffness_at(fast)
             } else {
                 plan.criterion.largest_stiffness()
             };
@@ -372,10 +383,7 @@ impl Controller {
         let cheap = plain
             || (plan.episode_may_do
                 && seen
-                && demanded
-                    <= plan.criterion.largest_stiffness_at(
-                        fast + demanded * reading.pull_rad.abs() * plan.speed_per_nm,
-                    ));
+                && demanded <= plan.criterion.largest_stiffness_at(fast));
         let spring_law = if plain { Law::Static } else { Law::Episode };
         if self.in_force != Law::Ledger {
             if !plain {

@@ -167,11 +167,14 @@ impl Draw {
             velocity: self.log(0.05, 60.0),
         };
         let shape = self.shape(shape_kind, &sampled, position);
+        let config = sampled.config(law, shape, self.log(1e-2, 1e4));
         if shape_kind == Kind::Release {
-            start.position += self.log(0.5, 3e3) * sampled.count_rad;
+            // As far out as turns into that speed.
+            let stiffness = config.stiffness_nm_rad.min(sampled.holding_nm_rad());
+            let out = start.velocity * (sampled.device.inertia_kg_m2 / stiffness).sqrt();
+            start.position += out.max(0.5 * sampled.count_rad);
             start.velocity = 0.0;
         }
-        let config = sampled.config(law, shape, self.log(1e-2, 1e4));
         let mut scene = sampled.scene(config, start, 4_000);
         match kind {
             Kind::Loop => self.imperfections(&mut scene),
@@ -186,11 +189,7 @@ impl Draw {
             }
             _ => {}
         }
-        let history = if shape_kind == Kind::Release || kind == Kind::Loop {
-            0
-        } else {
-            9
-        };
+        let history = if shape_kind == Kind::Release { 0 } else { 9 };
         Trial { scene, history }
     }
 
@@ -262,7 +261,6 @@ impl Draw {
                         }
                     }
                     if let Ok(plan) = Plan::new(&config) {
-                        if std::env::var("DBG").is_ok() { println!("change {:?} {:?} K {}", config.law, config.shape, config.stiffness_nm_rad); }
                         controller.adopt(plan);
                     }
                 }

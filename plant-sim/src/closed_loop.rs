@@ -140,11 +140,21 @@ impl Scene {
     /// See [`SceneError`].
     pub fn run(&self, observe: impl FnMut(&Sample) -> bool) -> Result<Report, SceneError> {
         let plan = Plan::new(&self.config)?;
-        let mut controller = Controller::new(plan, self.start_count());
+        let mut controller = self.controller(plan);
         self.run_under(
             |counter, duration_s| controller.tick(counter, duration_s),
             observe,
         )
+    }
+
+    /// A controller for the start, which knows of a start at rest.
+    #[must_use]
+    pub fn controller(&self, plan: Plan) -> Controller {
+        if self.start.velocity == 0.0 {
+            Controller::at_rest(plan, self.start_count())
+        } else {
+            Controller::new(plan, self.start_count())
+        }
     }
 
     /// The hardware count at the start, wrapped to 32 bits.
@@ -254,7 +264,6 @@ impl Scene {
                 dissipated: interval.friction_j,
             });
             given_j += interval.motor_work_j - interval.friction_j;
-            if std::env::var("DBG").is_ok() { println!("{number} x {:.3} v {:+.4} dn {} F {torque:+.6} K {:.4} acc {:+.3e} given {given_j:+.4e} {:?} {:?}", state.position / count_rad, state.velocity, tick.moved, tick.stiffness_nm_rad, tick.account_j, tick.law, tick.reason); }
             report.given_out_j = report.given_out_j.max(given_j);
             report.hand_work_j += interval.hand_work_j;
             report.peak_angle_rad = report.peak_angle_rad.max(interval.furthest_rad);

@@ -44,6 +44,12 @@ impl Sampled {
         }
     }
 
+    /// m/T², Nm/rad: a stiffer spring throws the knob past its zero within a tick.
+    #[must_use]
+    pub fn holding_nm_rad(&self) -> f64 {
+        self.device.inertia_kg_m2 / (self.period_s * self.period_s)
+    }
+
     /// A run of it without hand, drive and jitter.
     #[must_use]
     pub fn scene(&self, config: Config, start: State, samples: u64) -> Scene {
@@ -122,7 +128,7 @@ impl Trial {
             let past = f64::from(tick) * scene.clock.period_s * scene.start.velocity;
             ((scene.start.position - past) / scene.config.hardware_count_rad).floor() as i64 as i32
         };
-        let mut controller = Controller::new(plan, count(0));
+        let mut controller = scene.controller(plan);
         if self.history > 0 {
             // Nothing demanded, so the torque is off.
             let idle = Config {
@@ -136,11 +142,12 @@ impl Trial {
             }
             controller.adopt(plan);
         }
-        let stored_j = if self.history > 0 {
-            0.0
-        } else {
+        let at_rest = self.history == 0 && scene.start.velocity == 0.0;
+        let stored_j = if at_rest {
             let potential = Potential::new(&scene.config.shape, scene.config.count_rad());
             plan.applied_limit_nm_rad() * potential.per_stiffness(scene.start.position)
+        } else {
+            0.0
         };
         self.run_under(
             |counter, duration_s| controller.tick(counter, duration_s),
