@@ -987,7 +987,7 @@ fn a_plan_answers_both_questions() {
     assert!(near(&plan["coulomb_limit_nm_rad"], 5.2152));
     assert!(near(&plan["largest_stiffness_nm_rad"], 0.018));
     // min(m/T², 3c/Δ) = m/T².
-    assert!(near(&plan["ledger_cap_nm_rad"], 6.28));
+    assert!(near(&plan["ledger_cap_nm_rad"], 6.28e-6 / 1e-6));
     let at_10 = plan["at_speed"]
         .as_array()
         .unwrap()

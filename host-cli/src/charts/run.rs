@@ -441,10 +441,9 @@ impl Curve<'_> {
         };
         let margin = 0.06 * span;
         // Room for the legend above the curve.
-        let head = if levels.is_empty() {
-            margin
-        } else {
-            4.0 * margin
+        let head = match levels.iter().filter(|level| level.name.is_some()).count() {
+            0 => margin,
+            named => 2.0 * named.max(2) as f64 * margin,
         };
         let values = low - shared - margin..high - shared + head;
         let start = points.first().map_or(0.0, |point| point.0);
