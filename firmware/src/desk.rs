@@ -310,9 +310,9 @@ fn fault(fault: Fault) -> protocol::Fault {
 fn clamp_reason(reason: Reason) -> ClampReason {
     match reason {
         Reason::None => ClampReason::None,
-        Reason::Viscous => ClampReason::Viscous,
-        Reason::Coulomb => ClampReason::Coulomb,
-        Reason::Speed => ClampReason::Speed,
+        Reason::Viscous | Reason::Inertia => ClampReason::Viscous,
+        Reason::Coulomb | Reason::Coarse => ClampReason::Coulomb,
+        Reason::Speed | Reason::Account | Reason::Hand => ClampReason::Speed,
         Reason::ZeroForce => ClampReason::ZeroForce,
         Reason::Torque => ClampReason::Torque,
     }

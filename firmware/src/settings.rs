@@ -4,9 +4,9 @@
 use core::f64::consts::TAU;
 
 use control::ConfigError;
+use control::config::{Believed, Config, Interval, Law, Timing};
 use control::encoder::EncoderConfig;
-use control::spring::Side;
-use control::tick::{Believed, Config, Interval, Law, Plan};
+use control::plan::Plan;
 use protocol::{Name, Parameters, Refusal, Shape};
 
 use crate::ticker::Settled;
@@ -166,19 +166,24 @@ pub fn config(parameters: &Parameters, counter_bits: u32) -> Result<Config, Refu
             HIGHEST.coulomb_nm,
         )?,
     };
-    let (side, zero_rad) = match p.shape {
-        Shape::Spring => (Side::Both, p.centre_rad),
-        Shape::Wall => (Side::Above, p.wall_rad),
+    let shape = match p.shape {
+        Shape::Spring => control::shape::Shape::Spring {
+            centre_rad: f64::from(p.centre_rad),
+        },
+        Shape::Wall => control::shape::Shape::Wall {
+            edge_rad: f64::from(p.wall_rad),
+        },
     };
     Ok(Config {
         believed,
-        period_s: f64::from(p.sample_period_s),
+        timing: Timing::ideal(f64::from(p.sample_period_s)),
+        torque_step_nm: 0.0,
         hardware_count_rad: TAU / f64::from(p.counts_per_rev),
         encoder: EncoderConfig::new(counter_bits, p.decimation)
             .map_err(|error| together(p, error))?,
-        side,
-        zero_rad: f64::from(zero_rad),
+        shape,
         stiffness_nm_rad: f64::from(p.stiffness_nm_rad),
+        damping_nm_s_rad: 0.0,
         law: match p.law {
             protocol::Law::Raw => Law::Raw,
             protocol::Law::Static => Law::Static,

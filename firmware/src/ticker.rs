@@ -7,7 +7,8 @@
 
 use core::sync::atomic::Ordering::Relaxed;
 
-use control::tick::{Controller, Plan, Reason, Tick};
+use control::plan::Plan;
+use control::tick::{Controller, Reason, Tick};
 
 use crate::{CommandReceiver, Link, LinkStatus, RecordSender};
 
@@ -155,7 +156,8 @@ impl<'a> Ticker<'a> {
         if self.commands.ready() {
             period_s = self.obey();
         }
-        let tick = self.controller.tick(counter);
+        let period_now_s = self.controller.plan().period_s();
+        let tick = self.controller.tick(counter, period_now_s);
         let mut torque_nm = 0.0;
         if self.status.state == StateCode::Armed {
             match fault_in(&tick, self.furthest_counts, overran) {
@@ -293,6 +295,8 @@ mod tests {
             torque_nm: 0.1,
             stiffness_nm_rad: 1.0,
             margin_nm: 0.0,
+            account_j: 0.0,
+            law: control::config::Law::Raw,
             reason: Reason::None,
         };
         assert_eq!(fault_in(&good, 7, false), None);

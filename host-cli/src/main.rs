@@ -13,6 +13,7 @@ mod output;
 mod parameters;
 mod ports;
 mod progress;
+mod reasons;
 mod scene;
 mod session;
 mod stop;

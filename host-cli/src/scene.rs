@@ -1,162 +1,96 @@
-//! The scene file: a device, how it is sampled, what is rendered, and how it starts.
+//! The scene file: a device, how it is sampled, what is rendered, who holds it, and how it
+//! starts.
 //!
-//! The file is read into plain data that knows every key this version reads and no
-//! other; an unknown key is refused by name. [`load`] turns it into a
-//! [`Scene`] that can be run.
+//! [`load`] reads the tables of [`file`], refuses every value that makes no sense by its key,
+//! and gives a [`Loaded`] that runs.
+
+mod accepted;
+mod file;
 
 use std::f64::consts::TAU;
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail};
-use control::criterion::Device;
+use control::ConfigError;
+use control::config::{Believed, Config, Interval, Law, Timing};
+use control::criterion::{Criterion, Device, Sampling};
 use control::encoder::EncoderConfig;
-use control::spring::Side;
-use control::tick::{Believed, Config, Interval, Law};
-use plant_sim::closed_loop::Scene;
+use control::plan::Plan;
+use control::shape::{Profile, Shape};
+use control::tick::Controller;
+use plant_sim::clock::Clock;
+use plant_sim::closed_loop::{Report, Sample, Scene, SceneError};
+use plant_sim::drive::Drive;
+use plant_sim::hand::Hand;
 use plant_sim::hold::State;
-use serde::Deserialize;
-use serde::de::IgnoredAny;
+use plant_sim::knob::{Knob, KnobError};
 
-use crate::number::digits;
+use accepted::{MOST, bound, finite, not_negative, plain, positive, refuse, share, signed};
+use file::{
+    Belief, BelievedTable, DeviceFile, DeviceTable, HandTable, LawName, LoopTable, RenderTable,
+    SceneFile, ShapeName, unlimited,
+};
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SceneFile {
-    device: DeviceTable,
-    #[serde(rename = "loop")]
-    sampling: LoopTable,
-    #[serde(default)]
-    believed: BelievedTable,
-    render: RenderTable,
-    #[serde(default)]
-    start: StartTable,
-    #[serde(default)]
-    run: RunTable,
+/// A scene that was checked.
+pub struct Loaded {
+    /// The truth; its configuration has the true count size and timing.
+    pub scene: Scene,
+    /// What the controller believes and does.
+    plan: Plan,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct DeviceTable {
-    inertia_kg_m2: f64,
-    viscous_nm_s_rad: f64,
-    coulomb_nm: f64,
-    counts_per_rev: Option<f64>,
-    count_rad: Option<f64>,
-}
+impl Loaded {
+    /// Runs it. `observe` sees every sample and may end the run by returning false.
+    ///
+    /// # Errors
+    /// A start out of the counts' reach.
+    pub fn run(&self, observe: impl FnMut(&Sample) -> bool) -> Result<Report, SceneError> {
+        let mut controller = Controller::new(self.plan, self.scene.start_count());
+        self.scene.run_under(
+            |counter, duration_s| controller.tick(counter, duration_s),
+            observe,
+        )
+    }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LoopTable {
-    sample_period_s: f64,
-    #[serde(default = "one")]
-    decimation: u32,
-    /// No limit where it is not given.
-    #[serde(default = "unlimited")]
-    torque_max_nm: f64,
-}
+    /// When a sample is, s: k·T to the last digit where ticks are even.
+    pub fn time_s(&self, sample: &Sample) -> f64 {
+        let clock = &self.scene.clock;
+        if clock.jitter_s == 0.0 && clock.missed_ticks == 0.0 {
+            sample.number as f64 * clock.period_s
+        } else {
+            sample.time_s
+        }
+    }
 
-/// What the controller is told where that is not what is true.
-#[derive(Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-struct BelievedTable {
-    inertia_kg_m2: Option<Belief>,
-    viscous_nm_s_rad: Option<Belief>,
-    coulomb_nm: Option<Belief>,
-}
-
-#[derive(Deserialize, Clone, Copy)]
-#[serde(untagged, expecting = "expected a number, or [low, high]")]
-enum Belief {
-    Exactly(f64),
-    Between([f64; 2]),
-}
-
-impl Belief {
-    /// The interval of a key: what is believed, or else the truth.
-    fn interval(key: &str, belief: Option<Self>, truth: f64) -> Result<Interval> {
-        let [low, high] = match belief {
-            None => [truth; 2],
-            Some(Self::Exactly(value)) => [value; 2],
-            Some(Self::Between(ends)) => ends,
+    /// (10) and (11) for what is true, with the terms of [`control::margin`]: Te for T, a wall's
+    /// first step for Δ, and under raw, which neither limits damping nor cuts to the DAC's
+    /// steps, less friction for both.
+    ///
+    /// # Errors
+    /// See [`Criterion::new`].
+    pub fn criterion(&self) -> Result<Criterion<f64>> {
+        let scene = &self.scene;
+        let config = &scene.config;
+        let steps = Profile::new(&config.shape, config.count_rad())?.step_counts();
+        let mut device = scene.device;
+        if config.law == Law::Raw {
+            let damping = config.damping_nm_s_rad;
+            let wrong_nm = 0.5 * scene.drive.torque_step_nm
+                + damping * config.count_rad() / config.timing.shortest_s();
+            device.viscous_nm_s_rad = (device.viscous_nm_s_rad - damping).max(0.0);
+            device.coulomb_nm = (device.coulomb_nm - wrong_nm).max(0.0);
+        }
+        let sampling = Sampling {
+            period_s: config.timing.effective_s(),
+            count_rad: config.count_rad() * steps,
         };
-        if !(0.0 <= low && low <= high && high <= MOST) {
-            bail!(
-                "{key} is [{}, {}]; accepted: finite, 0 or more, up to {MOST:e}, the lower end first",
-                plain(low),
-                plain(high)
-            );
-        }
-        Ok(Interval { low, high })
+        Ok(Criterion::new(device, sampling)?)
     }
-}
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RenderTable {
-    law: LawName,
-    shape: ShapeName,
-    stiffness_nm_rad: f64,
-    centre_rad: Option<f64>,
-    wall_rad: Option<f64>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum LawName {
-    Raw,
-    Static,
-    Episode,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum ShapeName {
-    Spring,
-    Wall,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-struct StartTable {
-    #[serde(default)]
-    angle_rad: f64,
-    #[serde(default)]
-    velocity_rad_s: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct RunTable {
-    samples: u64,
-    /// Taken, so that a file with a seed can be run; nothing here is random.
-    #[serde(rename = "seed")]
-    _seed: u64,
-}
-
-impl Default for RunTable {
-    fn default() -> Self {
-        Self {
-            samples: 50_000,
-            _seed: 0,
-        }
+    /// Whether a hand is on the knob.
+    pub fn has_hand(&self) -> bool {
+        self.scene.hand != Hand::default()
     }
-}
-
-/// A device file: the first two tables of a scene file. The others may be there.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct DeviceFile {
-    device: DeviceTable,
-    #[serde(rename = "loop")]
-    sampling: LoopTable,
-    #[serde(rename = "believed")]
-    _believed: Option<IgnoredAny>,
-    #[serde(rename = "render")]
-    _render: Option<IgnoredAny>,
-    #[serde(rename = "start")]
-    _start: Option<IgnoredAny>,
-    #[serde(rename = "run")]
-    _run: Option<IgnoredAny>,
 }
 
 /// A device and how it is sampled, from a file.
@@ -166,7 +100,7 @@ pub struct SampledDevice {
     /// Size of a count before decimation, rad.
     pub hardware_count_rad: f64,
     pub decimation: u32,
-    pub period_s: f64,
+    pub timing: Timing,
 }
 
 impl SampledDevice {
@@ -176,16 +110,8 @@ impl SampledDevice {
     }
 }
 
-fn one() -> u32 {
-    1
-}
-
-fn unlimited() -> f64 {
-    f64::from(f32::MAX)
-}
-
 /// Reads and checks a scene file.
-pub fn load(path: &Path) -> Result<Scene> {
+pub fn load(path: &Path) -> Result<Loaded> {
     let text = read(path)?;
     parse(&text).with_context(|| path.display().to_string())
 }
@@ -204,104 +130,91 @@ fn read(path: &Path) -> Result<String> {
 }
 
 /// Checks the text of a scene file.
-pub fn parse(text: &str) -> Result<Scene> {
+pub fn parse(text: &str) -> Result<Loaded> {
     let file: SceneFile = toml::from_str(text)?;
     let sampled = sampled_device(&file.device, &file.sampling)?;
+    let sampling = &file.sampling;
+    let clock = Clock {
+        period_s: sampling.sample_period_s,
+        jitter_s: sampling.jitter_s,
+        missed_ticks: sampling.missed_ticks,
+    };
+    let drive = Drive {
+        delay_s: sampling.delay_s,
+        amplifier_tau_s: sampling.amplifier_tau_s,
+        torque_step_nm: sampling.torque_step_nm,
+    };
+    let hand = hand(&file.hand)?;
+    let told = told(&file.believed, &sampled, sampling)?;
     let render = &file.render;
     not_negative("render.stiffness_nm_rad", render.stiffness_nm_rad)?;
-    let (side, zero_key, zero) = match render.shape {
-        ShapeName::Spring => {
-            if render.wall_rad.is_some() {
-                bail!("render.wall_rad is given, but shape = \"spring\" reads centre_rad");
-            }
-            (Side::Both, "render.centre_rad", render.centre_rad)
-        }
-        ShapeName::Wall => {
-            if render.centre_rad.is_some() {
-                bail!("render.centre_rad is given, but shape = \"wall\" reads wall_rad");
-            }
-            (Side::Above, "render.wall_rad", render.wall_rad)
-        }
-    };
-    let zero_rad = zero.unwrap_or(0.0);
-    finite(zero_key, zero_rad)?;
-    let furthest_rad = sampled.count_rad() * f64::from(1_u32 << 30);
-    if zero_rad.abs() >= furthest_rad {
-        bail!(
-            "{zero_key} is {}, 2^30 counts or more from zero; accepted: less than {} rad either way",
-            plain(zero_rad),
-            digits(furthest_rad, 6)
-        );
-    }
+    not_negative("render.damping_nm_s_rad", render.damping_nm_s_rad)?;
+    let count_rad = told.hardware_count_rad * f64::from(sampled.decimation);
+    let shape = shape(render, count_rad)?;
     finite("start.angle_rad", file.start.angle_rad)?;
     finite("start.velocity_rad_s", file.start.velocity_rad_s)?;
     if file.run.samples == 0 {
         bail!("run.samples is 0; accepted: a whole number from 1");
     }
-    let (told, device) = (&file.believed, &sampled.device);
-    let believed = Believed {
-        inertia_kg_m2: Belief::interval(
-            "believed.inertia_kg_m2",
-            told.inertia_kg_m2,
-            device.inertia_kg_m2,
-        )?,
-        viscous_nm_s_rad: Belief::interval(
-            "believed.viscous_nm_s_rad",
-            told.viscous_nm_s_rad,
-            device.viscous_nm_s_rad,
-        )?,
-        coulomb_nm: Belief::interval("believed.coulomb_nm", told.coulomb_nm, device.coulomb_nm)?,
+    let config = Config {
+        believed: told.device,
+        timing: told.timing,
+        torque_step_nm: told.torque_step_nm,
+        hardware_count_rad: told.hardware_count_rad,
+        encoder: EncoderConfig::new(32, sampled.decimation)
+            .map_err(|error| named(error, &told, render))?,
+        shape,
+        stiffness_nm_rad: render.stiffness_nm_rad,
+        damping_nm_s_rad: render.damping_nm_s_rad,
+        law: match render.law {
+            LawName::Raw => Law::Raw,
+            LawName::Static => Law::Static,
+            LawName::Episode => Law::Episode,
+            LawName::Ledger => Law::Ledger,
+            LawName::Auto => Law::Auto,
+        },
+        torque_max_nm: sampling.torque_max_nm,
     };
-    positive("believed.inertia_kg_m2", believed.inertia_kg_m2.low)?;
-    let torque_max_nm = file.sampling.torque_max_nm;
-    if !(0.0..=unlimited()).contains(&torque_max_nm) {
-        let accepted = "0 or more, up to 3.4e38; without the key there is no limit";
-        return Err(refuse("loop.torque_max_nm", torque_max_nm, accepted));
-    }
+    let plan = Plan::new(&config).map_err(|error| named(error, &told, render))?;
+    let start = State {
+        position: file.start.angle_rad,
+        velocity: file.start.velocity_rad_s,
+    };
+    Knob::new(&sampled.device, &hand, &drive, clock.period_s, start)
+        .map_err(|error| knob_named(error, &sampled.device, &hand))?;
     let scene = Scene {
         device: sampled.device,
+        drive,
+        clock,
+        hand,
         config: Config {
-            believed,
-            period_s: sampled.period_s,
+            timing: sampled.timing,
             hardware_count_rad: sampled.hardware_count_rad,
-            encoder: EncoderConfig::new(32, sampled.decimation)?,
-            side,
-            zero_rad,
-            stiffness_nm_rad: render.stiffness_nm_rad,
-            law: match render.law {
-                LawName::Raw => Law::Raw,
-                LawName::Static => Law::Static,
-                LawName::Episode => Law::Episode,
-            },
-            torque_max_nm,
+            ..config
         },
-        start: State {
-            position: file.start.angle_rad,
-            velocity: file.start.velocity_rad_s,
-        },
+        start,
         samples: file.run.samples,
+        seed: file.run.seed,
     };
-    Ok(scene)
+    Ok(Loaded { scene, plan })
 }
 
 fn sampled_device(device: &DeviceTable, sampling: &LoopTable) -> Result<SampledDevice> {
     positive("device.inertia_kg_m2", device.inertia_kg_m2)?;
     not_negative("device.viscous_nm_s_rad", device.viscous_nm_s_rad)?;
     not_negative("device.coulomb_nm", device.coulomb_nm)?;
-    positive("loop.sample_period_s", sampling.sample_period_s)?;
+    let hardware_count_rad = count_rad("device", device.counts_per_rev, device.count_rad)?
+        .context("device.counts_per_rev is missing; accepted: it, or device.count_rad")?;
+    let period_s = positive("loop.sample_period_s", sampling.sample_period_s)?;
     if sampling.decimation == 0 {
         bail!("loop.decimation is 0; accepted: a whole number from 1");
     }
-    let hardware_count_rad = match (device.counts_per_rev, device.count_rad) {
-        (Some(counts), None) => TAU / positive("device.counts_per_rev", counts)?,
-        (None, Some(count)) => positive("device.count_rad", count)?,
-        (Some(_), Some(_)) => bail!(
-            "device.counts_per_rev and device.count_rad are both given; accepted: one of them"
-        ),
-        (None, None) => {
-            bail!("device.counts_per_rev is missing; accepted: it, or device.count_rad")
-        }
-    };
+    not_negative("loop.torque_step_nm", sampling.torque_step_nm)?;
+    let torque_max_nm = sampling.torque_max_nm;
+    if !(0.0..=unlimited()).contains(&torque_max_nm) {
+        let accepted = "0 or more, up to 3.4e38; without the key there is no limit";
+        return Err(refuse("loop.torque_max_nm", torque_max_nm, accepted));
+    }
     Ok(SampledDevice {
         device: Device {
             inertia_kg_m2: device.inertia_kg_m2,
@@ -310,50 +223,267 @@ fn sampled_device(device: &DeviceTable, sampling: &LoopTable) -> Result<SampledD
         },
         hardware_count_rad,
         decimation: sampling.decimation,
-        period_s: sampling.sample_period_s,
+        timing: Timing {
+            period_s,
+            delay_s: not_negative("loop.delay_s", sampling.delay_s)?,
+            amplifier_tau_s: not_negative("loop.amplifier_tau_s", sampling.amplifier_tau_s)?,
+            may_miss: share("loop.missed_ticks", sampling.missed_ticks)? > 0.0,
+            jitter_s: jitter("loop.jitter_s", sampling.jitter_s, period_s)?,
+        },
     })
 }
 
-/// The smallest and the largest quantity of a device or a spring: the controller computes
-/// in f32, which must hold them and their ratios.
-const LEAST: f64 = 1e-15;
-const MOST: f64 = 1e15;
+/// A jitter that leaves something of every period.
+fn jitter(key: &str, jitter_s: f64, period_s: f64) -> Result<f64> {
+    not_negative(key, jitter_s)?;
+    if jitter_s < period_s {
+        return Ok(jitter_s);
+    }
+    let accepted = format!("less than the sample period, {} s", bound(period_s));
+    Err(refuse(key, jitter_s, &accepted))
+}
 
-/// A number as a user would write it.
-fn plain(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() || (1e-6..1e16).contains(&value.abs()) {
-        value.to_string()
-    } else {
-        format!("{value:e}")
+/// The size of a hardware count in a table, rad, if it is there in one of the two ways.
+fn count_rad(table: &str, per_rev: Option<f64>, count_rad: Option<f64>) -> Result<Option<f64>> {
+    match (per_rev, count_rad) {
+        (Some(counts), None) => {
+            let counts = positive(&format!("{table}.counts_per_rev"), counts)?;
+            Ok(Some(TAU / counts))
+        }
+        (None, Some(count)) => positive(&format!("{table}.count_rad"), count).map(Some),
+        (Some(_), Some(_)) => bail!(
+            "{table}.counts_per_rev and {table}.count_rad are both given; accepted: one of them"
+        ),
+        (None, None) => Ok(None),
     }
 }
 
-fn refuse(key: &str, value: f64, accepted: &str) -> anyhow::Error {
-    anyhow!("{key} is {}; accepted: {accepted}", plain(value))
+/// What the controller is told, and under which key it stands.
+struct Told {
+    device: Believed,
+    inertia_key: &'static str,
+    timing: Timing,
+    period_key: &'static str,
+    delay_key: &'static str,
+    torque_step_nm: f64,
+    hardware_count_rad: f64,
 }
 
-fn finite(key: &str, value: f64) -> Result<f64> {
-    if value.is_finite() {
-        Ok(value)
-    } else {
-        Err(refuse(key, value, "a finite number"))
+/// What is believed where it is given, else what is true.
+fn told(believed: &BelievedTable, sampled: &SampledDevice, sampling: &LoopTable) -> Result<Told> {
+    let truth = &sampled.device;
+    let device = Believed {
+        inertia_kg_m2: interval(
+            "believed.inertia_kg_m2",
+            believed.inertia_kg_m2,
+            truth.inertia_kg_m2,
+        )?,
+        viscous_nm_s_rad: interval(
+            "believed.viscous_nm_s_rad",
+            believed.viscous_nm_s_rad,
+            truth.viscous_nm_s_rad,
+        )?,
+        coulomb_nm: interval("believed.coulomb_nm", believed.coulomb_nm, truth.coulomb_nm)?,
+    };
+    positive("believed.inertia_kg_m2", device.inertia_kg_m2.low)?;
+    let key = |given: bool, believed: &'static str, truth: &'static str| {
+        if given { believed } else { truth }
+    };
+    let or_true = |belief: Option<f64>, truth: f64| belief.unwrap_or(truth);
+    let timing = &sampled.timing;
+    let period_s = positive(
+        "believed.sample_period_s",
+        or_true(believed.sample_period_s, timing.period_s),
+    )?;
+    let jitter_key = key(
+        believed.jitter_s.is_some(),
+        "believed.jitter_s",
+        "loop.jitter_s",
+    );
+    let missed_ticks = or_true(believed.missed_ticks, sampling.missed_ticks);
+    Ok(Told {
+        device,
+        inertia_key: key(
+            believed.inertia_kg_m2.is_some(),
+            "believed.inertia_kg_m2",
+            "device.inertia_kg_m2",
+        ),
+        timing: Timing {
+            period_s,
+            jitter_s: jitter(
+                jitter_key,
+                or_true(believed.jitter_s, timing.jitter_s),
+                period_s,
+            )?,
+            may_miss: share("believed.missed_ticks", missed_ticks)? > 0.0,
+            delay_s: not_negative(
+                "believed.delay_s",
+                or_true(believed.delay_s, timing.delay_s),
+            )?,
+            amplifier_tau_s: not_negative(
+                "believed.amplifier_tau_s",
+                or_true(believed.amplifier_tau_s, timing.amplifier_tau_s),
+            )?,
+        },
+        period_key: key(
+            believed.sample_period_s.is_some(),
+            "believed.sample_period_s",
+            "loop.sample_period_s",
+        ),
+        delay_key: key(
+            believed.delay_s.is_some(),
+            "believed.delay_s",
+            "loop.delay_s",
+        ),
+        torque_step_nm: not_negative(
+            "believed.torque_step_nm",
+            or_true(believed.torque_step_nm, sampling.torque_step_nm),
+        )?,
+        hardware_count_rad: count_rad("believed", believed.counts_per_rev, believed.count_rad)?
+            .unwrap_or(sampled.hardware_count_rad),
+    })
+}
+
+/// The interval of a key: what is believed, or else the truth.
+fn interval(key: &str, belief: Option<Belief>, truth: f64) -> Result<Interval> {
+    let [low, high] = match belief {
+        None => [truth; 2],
+        Some(Belief::Exactly(value)) => [value; 2],
+        Some(Belief::Between(ends)) => ends,
+    };
+    if !(0.0 <= low && low <= high && high <= MOST) {
+        bail!(
+            "{key} is [{}, {}]; accepted: finite, 0 or more, up to {MOST:e}, the lower end first",
+            plain(low),
+            plain(high)
+        );
+    }
+    Ok(Interval { low, high })
+}
+
+/// What is rendered, sensed in counts of `count_rad`.
+fn shape(render: &RenderTable, count_rad: f64) -> Result<Shape> {
+    let (name, reads) = match render.shape {
+        ShapeName::Spring => ("spring", &["centre_rad"][..]),
+        ShapeName::Wall => ("wall", &["wall_rad"][..]),
+        ShapeName::Detent => ("detent", &["period_rad", "centre_rad"][..]),
+    };
+    let mut zero = ("render.centre_rad", 0.0);
+    for (key, value) in [
+        ("centre_rad", render.centre_rad),
+        ("wall_rad", render.wall_rad),
+        ("period_rad", render.period_rad),
+    ] {
+        let Some(value) = value else { continue };
+        if !reads.contains(&key) {
+            let reads = reads.join(" and ");
+            bail!("render.{key} is given, but shape = \"{name}\" reads {reads}");
+        }
+        match key {
+            "centre_rad" => zero = ("render.centre_rad", value),
+            "wall_rad" => zero = ("render.wall_rad", value),
+            _ => {}
+        }
+    }
+    let (zero_key, zero_rad) = zero;
+    finite(zero_key, zero_rad)?;
+    let furthest_rad = count_rad * f64::from(1_u32 << 30);
+    if zero_rad.abs() >= furthest_rad {
+        bail!(
+            "{zero_key} is {}, 2^30 counts or more from zero; accepted: less than {} rad either way",
+            plain(zero_rad),
+            bound(furthest_rad)
+        );
+    }
+    Ok(match render.shape {
+        ShapeName::Spring => Shape::Spring {
+            centre_rad: zero_rad,
+        },
+        ShapeName::Wall => Shape::Wall { edge_rad: zero_rad },
+        ShapeName::Detent => Shape::Detent {
+            centre_rad: zero_rad,
+            period_rad: render
+                .period_rad
+                .context("render.period_rad is missing; accepted: it, with shape = \"detent\"")?,
+        },
+    })
+}
+
+fn hand(table: &HandTable) -> Result<Hand> {
+    Ok(Hand {
+        inertia_kg_m2: not_negative("hand.inertia_kg_m2", table.inertia_kg_m2)?,
+        damping_nm_s_rad: not_negative("hand.damping_nm_s_rad", table.damping_nm_s_rad)?,
+        stiffness_nm_rad: not_negative("hand.stiffness_nm_rad", table.stiffness_nm_rad)?,
+        rest_rad: signed("hand.rest_rad", table.rest_rad)?,
+        push_nm: signed("hand.push_nm", table.push_nm)?,
+        shake_nm: signed("hand.shake_nm", table.shake_nm)?,
+        shake_hz: not_negative("hand.shake_hz", table.shake_hz)?,
+    })
+}
+
+/// What no controller can be told, under the file's names. What could be seen in one value alone
+/// was refused before.
+fn named(error: ConfigError, told: &Told, render: &RenderTable) -> anyhow::Error {
+    match error {
+        ConfigError::Delay { delay, limit } => {
+            let law = match render.law {
+                LawName::Auto => "auto",
+                _ => "ledger",
+            };
+            let accepted = format!(
+                "up to {} s by law = \"{law}\", the shortest interval between ticks",
+                bound(limit)
+            );
+            refuse(told.delay_key, delay, &accepted)
+        }
+        ConfigError::Period { value, least, most } => {
+            let accepted = format!(
+                "{} to {} rad, two counts to 2^30",
+                bound(least),
+                bound(most)
+            );
+            refuse("render.period_rad", value, &accepted)
+        }
+        ConfigError::Decimation(decimation) => {
+            anyhow!(
+                "loop.decimation is {decimation}; accepted: a whole number from 1 to 2147483647"
+            )
+        }
+        // A ratio that an f32 takes for nothing or for infinite.
+        other => anyhow!(
+            "{other}; it comes from {} = {}, {} = {} and the count size, {} rad",
+            told.inertia_key,
+            plain(told.device.inertia_kg_m2.low),
+            told.period_key,
+            plain(told.timing.period_s),
+            plain(told.hardware_count_rad)
+        ),
     }
 }
 
-fn positive(key: &str, value: f64) -> Result<f64> {
-    if (LEAST..=MOST).contains(&value) {
-        Ok(value)
+/// The same for the plant.
+fn knob_named(error: KnobError, device: &Device<f64>, hand: &Hand) -> anyhow::Error {
+    let KnobError::Above {
+        name,
+        value,
+        limit,
+        reason,
+    } = error
+    else {
+        return error.into();
+    };
+    if name.starts_with("delay") {
+        let accepted = format!("up to {} s, {reason}", bound(limit));
+        refuse("loop.delay_s", value, &accepted)
+    } else if name.starts_with("hand shake") {
+        let accepted = format!("up to {} Hz, {reason}", bound(limit));
+        refuse("hand.shake_hz", value, &accepted)
     } else {
-        let accepted = format!("a finite number above 0, from {LEAST:e} to {MOST:e}");
-        Err(refuse(key, value, &accepted))
-    }
-}
-
-fn not_negative(key: &str, value: f64) -> Result<f64> {
-    if (0.0..=MOST).contains(&value) {
-        Ok(value)
-    } else {
-        let accepted = format!("a finite number, 0 or more, up to {MOST:e}");
-        Err(refuse(key, value, &accepted))
+        let inertia = device.inertia_kg_m2 + hand.inertia_kg_m2;
+        let accepted = format!(
+            "up to {} Nm/rad, √(stiffness / inertia of hand and knob) of {reason}",
+            bound(limit * limit * inertia)
+        );
+        refuse("hand.stiffness_nm_rad", hand.stiffness_nm_rad, &accepted)
     }
 }

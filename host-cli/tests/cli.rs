@@ -145,7 +145,7 @@ fn a_trace_and_a_plot_hold_the_run() {
     let mut rows = trace.lines();
     assert_eq!(
         rows.next().unwrap(),
-        "time_s,angle_rad,velocity_rad_s,count,torque_nm,stiffness_nm_rad,margin_nm"
+        "time_s,angle_rad,velocity_rad_s,count,torque_nm,stiffness_nm_rad,margin_nm,account_j,law,reason"
     );
     assert_eq!(rows.count() as u64, out["samples"].as_u64().unwrap());
     let plot = fs::read_to_string(&svg).unwrap();
@@ -415,12 +415,6 @@ fn scene_files_that_make_no_sense_are_refused_with_file_key_and_value() {
     );
     change("decimation = 1", "decimation = -4", &["decimation", "-4"]);
     change("decimation = 1", "decimation = 2.5", &["decimation", "2.5"]);
-    // Keys of later versions, refused by name.
-    change(
-        "decimation = 1",
-        "delay_s = 1e-4",
-        &["delay_s", "sample_period_s"],
-    );
     change(
         "[start]",
         "[believed]\ncoulomb_nm = [2e-3, 1e-3]\n[start]",
@@ -436,13 +430,16 @@ fn scene_files_that_make_no_sense_are_refused_with_file_key_and_value() {
         "torque_max_nm = -1",
         &["loop.torque_max_nm is -1"],
     );
-    change("[start]", "[hand]\npush_nm = 1e-3\n[start]", &["hand"]);
     change(
         "\"raw\"",
-        "\"ledger\"",
-        &["ledger", "raw", "static", "episode"],
+        "\"bounded\"",
+        &["bounded", "raw", "static", "episode", "ledger", "auto"],
     );
-    change("\"spring\"", "\"detent\"", &["detent", "spring", "wall"]);
+    change(
+        "\"spring\"",
+        "\"bump\"",
+        &["bump", "spring", "wall", "detent"],
+    );
     change("1.0\n", "-1.0\n", &["render.stiffness_nm_rad is -1"]);
     change("1.0\n", "nan\n", &["render.stiffness_nm_rad is NaN"]);
     change(
@@ -511,6 +508,329 @@ fn scene_files_that_make_no_sense_are_refused_with_file_key_and_value() {
         1,
         &["scene.toml", "device.inertia_kg_m2 is -1"],
     );
+}
+
+#[test]
+fn every_number_of_a_scene_is_checked_by_its_key() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("scene.toml");
+    let path = file.to_str().unwrap();
+    let with = |table: &str, line: &str| {
+        let header = format!("[{table}]\n");
+        let text = if SCENE.contains(&header) {
+            SCENE.replacen(&header, &format!("{header}{line}\n"), 1)
+        } else {
+            format!("{SCENE}{header}{line}\n")
+        };
+        fs::write(&file, text).unwrap();
+    };
+    // Key, a value that is accepted, whether it may be negative.
+    for (table, key, good, signed) in [
+        ("loop", "delay_s", "1e-4", false),
+        ("loop", "amplifier_tau_s", "1e-4", false),
+        ("loop", "torque_step_nm", "1e-4", false),
+        ("loop", "torque_max_nm", "0.5", false),
+        ("loop", "jitter_s", "1e-4", false),
+        ("loop", "missed_ticks", "0.1", false),
+        ("believed", "inertia_kg_m2", "6e-6", false),
+        ("believed", "viscous_nm_s_rad", "8e-6", false),
+        ("believed", "coulomb_nm", "1e-3", false),
+        ("believed", "counts_per_rev", "4096", false),
+        ("believed", "count_rad", "1e-3", false),
+        ("believed", "sample_period_s", "2e-3", false),
+        ("believed", "delay_s", "1e-4", false),
+        ("believed", "amplifier_tau_s", "1e-4", false),
+        ("believed", "torque_step_nm", "1e-4", false),
+        ("believed", "jitter_s", "1e-4", false),
+        ("believed", "missed_ticks", "0.1", false),
+        ("render", "damping_nm_s_rad", "1e-5", false),
+        ("render", "centre_rad", "-0.1", true),
+        ("hand", "inertia_kg_m2", "1e-5", false),
+        ("hand", "damping_nm_s_rad", "1e-4", false),
+        ("hand", "stiffness_nm_rad", "0.1", false),
+        ("hand", "rest_rad", "-0.1", true),
+        ("hand", "push_nm", "-1e-3", true),
+        ("hand", "shake_nm", "-1e-3", true),
+        ("hand", "shake_hz", "450", false),
+    ] {
+        with(table, &format!("{key} = {good}"));
+        json(&["simulate", path, "--json"]);
+        let name = format!("{table}.{key} is ");
+        for bad in ["nan", "inf", "-inf", "1e300"] {
+            with(table, &format!("{key} = {bad}"));
+            refused(
+                &["simulate", path, "--json"],
+                1,
+                &["scene.toml", &name, "accepted: "],
+            );
+        }
+        if !signed {
+            with(table, &format!("{key} = -0.25"));
+            let parts = ["scene.toml", &name, "-0.25", "accepted: "];
+            refused(&["simulate", path, "--json"], 1, &parts);
+        }
+        for wrong in ["\"much\"", "true", "[]"] {
+            with(table, &format!("{key} = {wrong}"));
+            let parts = ["scene.toml", key, "line", "expected"];
+            refused(&["simulate", path, "--json"], 1, &parts);
+        }
+    }
+    for (table, line, parts) in [
+        (
+            "loop",
+            "delay = 1",
+            &["unknown field `delay`", "delay_s"][..],
+        ),
+        ("hand", "push = 1", &["unknown field `push`", "push_nm"]),
+        (
+            "believed",
+            "decimation = 2",
+            &["unknown field `decimation`", "counts_per_rev"],
+        ),
+        ("render", "wall = 1", &["unknown field `wall`", "wall_rad"]),
+        ("world", "g = 9.8", &["unknown field `world`", "hand"]),
+        // What is wrong only beside something else.
+        (
+            "loop",
+            "jitter_s = 1e-3",
+            &["loop.jitter_s is 0.001", "less than the sample period"],
+        ),
+        (
+            "believed",
+            "jitter_s = 2e-3",
+            &["believed.jitter_s is 0.002", "less than the sample period"],
+        ),
+        (
+            "loop",
+            "missed_ticks = 0.6",
+            &["loop.missed_ticks is 0.6", "0 to 0.5", "no two"],
+        ),
+        (
+            "loop",
+            "delay_s = 1.5",
+            &["loop.delay_s is 1.5", "up to 1 s", "1000 sample periods"],
+        ),
+        (
+            "hand",
+            "shake_hz = 2e4",
+            &["hand.shake_hz is 20000", "up to 10000 Hz", "10 turns"],
+        ),
+        (
+            "hand",
+            "stiffness_nm_rad = 1e9",
+            &["hand.stiffness_nm_rad is 1000000000", "up to 6.28e6 Nm/rad"],
+        ),
+        (
+            "believed",
+            "count_rad = 1e-3\ncounts_per_rev = 9",
+            &["believed.counts_per_rev", "both given"],
+        ),
+        (
+            "render",
+            "period_rad = 0.2",
+            &["render.period_rad is given", "reads centre_rad"],
+        ),
+        ("run", "# seed\nseed = -1", &["duplicate", "seed"]),
+    ] {
+        with(table, line);
+        refused(&["simulate", path, "--json"], 1, parts);
+    }
+}
+
+#[test]
+fn shapes_and_laws_are_checked_against_the_keys_they_read() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("scene.toml");
+    let path = file.to_str().unwrap();
+    let with = |law: &str, shape: &str, render: &str, sampling: &str| {
+        let text = SCENE
+            .replace("\"raw\"", &format!("\"{law}\""))
+            .replace("\"spring\"", &format!("\"{shape}\"\n{render}"))
+            .replace("decimation = 1", sampling);
+        fs::write(&file, text).unwrap();
+    };
+    for law in ["raw", "static", "episode", "ledger", "auto"] {
+        for (shape, keys) in [
+            ("spring", "centre_rad = 0.1"),
+            ("wall", "wall_rad = -0.1"),
+            ("detent", "centre_rad = 0.01\nperiod_rad = 0.2"),
+        ] {
+            with(law, shape, keys, "");
+            let out = json(&["simulate", path, "--json"]);
+            let law_end = out["law_end"].as_str().unwrap();
+            let in_force: &[&str] = match law {
+                "auto" => &["static", "episode", "ledger"],
+                other => &[other],
+            };
+            assert!(in_force.contains(&law_end), "{law}: {law_end}");
+            assert!(!out["reason_end"].as_str().unwrap().is_empty());
+            for key in ["min_account_j", "max_account_j", "torque_end_nm"] {
+                assert!(out[key].is_number(), "{law} {shape}: {key}");
+            }
+        }
+    }
+    for (shape, keys, parts) in [
+        ("detent", "", &["render.period_rad is missing"][..]),
+        (
+            "detent",
+            "period_rad = 1e-3",
+            &["render.period_rad is 0.001", "0.00153398", "two counts"],
+        ),
+        ("detent", "period_rad = 0.0", &["render.period_rad is 0"]),
+        (
+            "detent",
+            "period_rad = -0.2",
+            &["render.period_rad is -0.2"],
+        ),
+        ("detent", "period_rad = nan", &["render.period_rad is NaN"]),
+        (
+            "detent",
+            "period_rad = 1e300",
+            &["render.period_rad is 1e300"],
+        ),
+        ("detent", "period_rad = \"p\"", &["period_rad", "string"]),
+        (
+            "detent",
+            "period_rad = 0.2\nwall_rad = 0.1",
+            &["render.wall_rad is given", "period_rad and centre_rad"],
+        ),
+        (
+            "wall",
+            "centre_rad = 0.1",
+            &["render.centre_rad is given", "reads wall_rad"],
+        ),
+        ("wall", "wall_rad = inf", &["render.wall_rad is inf"]),
+    ] {
+        with("raw", shape, keys, "");
+        refused(&["simulate", path], 1, parts);
+    }
+    // A delay beyond a period is for the laws that look no further ahead.
+    for law in ["raw", "static", "episode"] {
+        with(law, "spring", "", "delay_s = 2.5e-3");
+        json(&["simulate", path, "--json"]);
+    }
+    for law in ["ledger", "auto"] {
+        with(law, "spring", "", "delay_s = 2.5e-3");
+        let by = format!("law = \"{law}\"");
+        refused(
+            &["simulate", path],
+            1,
+            &["loop.delay_s is 0.0025", "up to 0.001 s", &by],
+        );
+        with(
+            law,
+            "spring",
+            "",
+            "delay_s = 1e-4\njitter_s = 4e-4\n[believed]\ndelay_s = 7e-4",
+        );
+        refused(
+            &["simulate", path],
+            1,
+            &["believed.delay_s is 0.0007", "up to 6e-4 s"],
+        );
+    }
+}
+
+#[test]
+fn what_is_believed_is_what_the_controller_is_told_and_no_more() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("scene.toml");
+    let run = |law: &str, believed: &str| {
+        let text = SCENE.replace("\"raw\"", &format!("\"{law}\""));
+        fs::write(&file, format!("{text}[believed]\n{believed}\n")).unwrap();
+        json(&["simulate", file.to_str().unwrap(), "--json"])
+    };
+    let applied = |believed| {
+        run("static", believed)["max_stiffness_nm_rad"]
+            .as_f64()
+            .unwrap()
+    };
+    let near = |got: f64, want: f64| assert!((got / want - 1.0).abs() < 1e-5, "{got}, not {want}");
+    // 2b/Te, Te = T_max + 2·delay + 2τ.
+    near(applied(""), 0.018);
+    near(applied("viscous_nm_s_rad = [6e-6, 9e-6]"), 0.012);
+    near(applied("sample_period_s = 2e-3"), 0.009);
+    near(applied("delay_s = 5e-4"), 0.009);
+    near(applied("amplifier_tau_s = 5e-4"), 0.009);
+    near(applied("jitter_s = 5e-4"), 0.012);
+    near(applied("missed_ticks = 1e-3"), 0.009);
+    // 2c/Δ.
+    near(
+        applied("viscous_nm_s_rad = 1.0\ncounts_per_rev = 1024"),
+        0.651_898_6,
+    );
+    // A count believed half as large is half the torque, and half the deflection.
+    let (truth, half) = (run("raw", ""), run("raw", "counts_per_rev = 16384"));
+    let stiffer = half["peak_angle_rad"].as_f64().unwrap();
+    assert!(stiffer > 1.1 * truth["peak_angle_rad"].as_f64().unwrap());
+    // The truth itself changes nothing.
+    let same = "count_rad = 7.669903939428206e-4\ndelay_s = 0.0\nsample_period_s = 1e-3\ninertia_kg_m2 = 6.28e-6";
+    assert_eq!(run("ledger", same), run("ledger", ""));
+}
+
+#[test]
+fn jitter_is_the_same_for_the_same_seed() {
+    let folder = TempDir::new().unwrap();
+    let (file, trace) = (
+        folder.path().join("scene.toml"),
+        folder.path().join("trace.csv"),
+    );
+    let run = |seed: u64| {
+        let text = SCENE
+            .replace("seed = 1", &format!("seed = {seed}"))
+            .replace("decimation = 1", "jitter_s = 3e-4\nmissed_ticks = 0.2");
+        fs::write(&file, text).unwrap();
+        let (file, trace) = (file.to_str().unwrap(), trace.to_str().unwrap());
+        json(&["simulate", file, "--json", "--force", "--trace", trace]);
+        fs::read_to_string(trace).unwrap()
+    };
+    let first = run(1);
+    assert_eq!(first, run(1));
+    assert_ne!(first, run(2));
+    let column = |row: &str| row.split(',').next().unwrap().parse::<f64>().unwrap();
+    let times: Vec<f64> = first.lines().skip(1).map(column).collect();
+    let steps = times.windows(2).map(|pair| pair[1] - pair[0]);
+    let (mut shortest, mut longest) = (f64::MAX, 0.0_f64);
+    for step in steps {
+        shortest = shortest.min(step);
+        longest = longest.max(step);
+    }
+    assert!(shortest >= 7e-4 - 1e-12 && longest <= 2.6e-3 + 1e-12);
+    assert!(longest > 1.4e-3, "none was missed: {longest}");
+}
+
+#[test]
+fn every_scene_of_the_repository_does_what_it_says() {
+    for (name, class, law_end) in [
+        ("ledger-wall", "rest", "ledger"),
+        ("ledger-push", "rest", "ledger"),
+        ("detent", "rest", "episode"),
+        ("delay-unaccounted", "unstable", "raw"),
+        ("delay-accounted", "rest", "raw"),
+        ("dac-rounding", "limit-cycle", "raw"),
+        ("wall-off-edge", "rest", "raw"),
+    ] {
+        let file = repository().join(format!("scenes/{name}.toml"));
+        let out = json(&["simulate", file.to_str().unwrap(), "--json"]);
+        assert_eq!(out["class"], class, "{name}");
+        assert_eq!(out["law_end"], law_end, "{name}");
+        let excess = out["energy_excess_j"].as_f64().unwrap();
+        let gains = ["delay-unaccounted", "wall-off-edge"].contains(&name);
+        assert_eq!(excess > 0.0, gains, "{name}: {excess}");
+        let holds = out["criterion_holds_at_start"].as_bool().unwrap();
+        assert_eq!(holds, name == "delay-accounted", "{name}");
+        if name == "ledger-push" {
+            assert!(out["stiffness_end_nm_rad"].as_f64().unwrap() >= 3.6);
+        }
+        let words = run(&["simulate", file.to_str().unwrap()]).stdout;
+        let words = String::from_utf8(words).unwrap();
+        let reason = out["reason_end"].as_str().unwrap();
+        assert!(words.contains(reason) && words.contains(law_end), "{words}");
+        assert_eq!(
+            words.contains("account      "),
+            ["ledger-wall", "ledger-push", "detent"].contains(&name)
+        );
+    }
 }
 
 #[test]
@@ -666,6 +986,8 @@ fn a_plan_answers_both_questions() {
     assert!(near(&plan["viscous_limit_nm_rad"], 0.018));
     assert!(near(&plan["coulomb_limit_nm_rad"], 5.2152));
     assert!(near(&plan["largest_stiffness_nm_rad"], 0.018));
+    // min(m/T², 3c/Δ) = m/T².
+    assert!(near(&plan["ledger_cap_nm_rad"], 6.28e-6 / 1e-6));
     let at_10 = plan["at_speed"]
         .as_array()
         .unwrap()
@@ -1308,6 +1630,20 @@ fn charts_of_runs_say_where_the_point_the_wall_and_the_digits_are() {
     assert!(has(&stiff, "(0.5, 145), off the chart"), "{stiff:?}");
     let wall = plotted(&[("\"spring\"", "\"wall\"")]);
     assert!(has(&wall, "edge of the wall"), "{wall:?}");
+    // Where the point means nothing, what was done stands in its place.
+    let account = "account, J";
+    let ledger = plotted(&[("\"raw\"", "\"ledger\""), ("nm_rad = 1.0", "nm_rad = 100")]);
+    assert!(has(&ledger, account) && has(&ledger, "torque, Nm"));
+    assert!(has(&ledger, ": ledger, K = ") && has(&ledger, "Nm/rad of 100 demanded"));
+    assert!(!has(&ledger, "critical line"), "{ledger:?}");
+    let detent = plotted(&[("\"spring\"", "\"detent\"\nperiod_rad = 0.1")]);
+    assert!(has(&detent, "detents") && has(&detent, "torque, Nm"));
+    assert!(!has(&detent, "±1 count") && !has(&detent, account));
+    let held = plotted(&[(
+        "[start]",
+        "[hand]\nstiffness_nm_rad = 0.1\nrest_rad = 0.02\n[start]",
+    )]);
+    assert!(has(&held, "place of the hand") && !has(&held, "critical line"));
     // Far from zero, and long after the start.
     let far = plotted(&[
         ("nm_rad = 1.0", "nm_rad = 1.0\ncentre_rad = 100.0"),

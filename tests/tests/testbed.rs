@@ -1,12 +1,15 @@
 //! The paper's testbed, Sec. V and Fig. 6, in physical units under the controller that a
 //! board runs, and the physical units against the dimensionless ones.
 
+use control::config::{Believed, Config, Law, Timing};
 use control::criterion::{Criterion, Device, Region, Sampling};
 use control::encoder::EncoderConfig;
-use control::spring::Side;
-use control::tick::{Believed, Config, Law};
+use control::shape::Shape;
+use plant_sim::clock::Clock;
 use plant_sim::closed_loop::{Report, Scene};
 use plant_sim::display::Display;
+use plant_sim::drive::Drive;
+use plant_sim::hand::Hand;
 use plant_sim::hold::{Hold, State};
 use plant_sim::outcome::Class;
 use plant_sim::preset::preset;
@@ -19,14 +22,22 @@ fn re35() -> Device<f64> {
 fn scene(counts_per_rev: f64, decimation: u32, stiffness: f64, velocity: f64) -> Scene {
     Scene {
         device: re35(),
+        drive: Drive::default(),
+        clock: Clock {
+            period_s: 1e-3,
+            jitter_s: 0.0,
+            missed_ticks: 0.0,
+        },
+        hand: Hand::default(),
         config: Config {
             believed: Believed::exactly(&re35()),
-            period_s: 1e-3,
+            timing: Timing::ideal(1e-3),
+            torque_step_nm: 0.0,
             hardware_count_rad: std::f64::consts::TAU / counts_per_rev,
             encoder: EncoderConfig::new(16, decimation).unwrap(),
-            side: Side::Both,
-            zero_rad: 0.0,
+            shape: Shape::Spring { centre_rad: 0.0 },
             stiffness_nm_rad: stiffness,
+            damping_nm_s_rad: 0.0,
             law: Law::Raw,
             torque_max_nm: 1e3,
         },
@@ -35,7 +46,14 @@ fn scene(counts_per_rev: f64, decimation: u32, stiffness: f64, velocity: f64) ->
             velocity,
         },
         samples: 40_000,
+        seed: 1,
     }
+}
+
+/// The same, sampled every `period_s`.
+fn set_period(scene: &mut Scene, period_s: f64) {
+    scene.clock.period_s = period_s;
+    scene.config.timing = Timing::ideal(period_s);
 }
 
 fn run(scene: &Scene) -> Report {
@@ -193,9 +211,13 @@ proptest! {
     ) {
         let mut scene = scene(counts, 1, 1e3, velocity);
         scene.config.law = Law::Static;
-        scene.config.period_s = period_s;
-        scene.config.zero_rad = f64::from(zero_counts) * scene.config.count_rad();
-        scene.config.side = if wall { Side::Above } else { Side::Both };
+        set_period(&mut scene, period_s);
+        let zero_rad = f64::from(zero_counts) * scene.config.count_rad();
+        scene.config.shape = if wall {
+            Shape::Wall { edge_rad: zero_rad }
+        } else {
+            Shape::Spring { centre_rad: zero_rad }
+        };
         scene.start.position = position;
         scene.samples = 3_000;
         let report = run(&scene);
@@ -216,8 +238,8 @@ proptest! {
     ) {
         let mut scene = scene(counts, 1, 1e3, speed);
         scene.config.law = Law::Episode;
-        scene.config.side = Side::Above;
-        scene.config.period_s = period_s;
+        scene.config.shape = Shape::Wall { edge_rad: 0.0 };
+        set_period(&mut scene, period_s);
         // So far away that it arrives after some ticks, with speed left.
         let count = scene.config.count_rad();
         scene.start.position = -(phase * count + 5.0 * speed * period_s + 3.0 * count);

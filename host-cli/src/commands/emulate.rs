@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use plant_sim::drive::Drive;
+use plant_sim::hand::Hand;
 use plant_sim::hold::State;
 use plant_sim::lockstep::Plant;
 use plant_sim::preset::PRESETS;
@@ -67,7 +69,10 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let (plant, start) = match &args.scene {
         Some(path) => {
-            let scene = scene::load(path)?;
+            let scene = scene::load(path)?.scene;
+            if scene.hand != Hand::default() || scene.drive != Drive::default() {
+                eprintln!("the scene's hand, delay, lag and torque steps are not emulated");
+            }
             let counts = std::f64::consts::TAU / scene.config.hardware_count_rad;
             let plant = Plant::new(scene.device, counts, scene.start.position);
             (

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use super::map::{Rule, Swept, sweep};
 use crate::charts;
-use crate::charts::run::{Envelope, RunChart};
+use crate::charts::run::{Curves, RunChart};
 use crate::output::{self, Output};
 use crate::{scene, stop};
 
@@ -101,17 +101,14 @@ fn draw() -> Result<Vec<(String, String)>> {
         ),
     ];
     for (name, text) in FIG_6 {
-        let scene = scene::parse(text).with_context(|| format!("scenes/{name}.toml"))?;
-        let mut envelope = Envelope::new();
-        let report = scene.run(|sample| {
-            envelope.enter(
-                sample.number as f64 * scene.config.period_s,
-                sample.state.position,
-            );
+        let loaded = scene::parse(text).with_context(|| format!("scenes/{name}.toml"))?;
+        let mut curves = Curves::new();
+        let report = loaded.run(|sample| {
+            curves.enter(loaded.time_s(sample), sample);
             !stop::requested()
         })?;
         stop::check()?;
-        let chart = RunChart::new(name, &scene, &report, &envelope)?;
+        let chart = RunChart::new(name, &loaded, &report, &curves)?;
         let shows = format!("testbed: {} after {} samples", report.class, report.samples);
         drawings.push((chart.svg()?, shows));
     }

@@ -10,6 +10,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
+use control::config::Timing;
 use control::criterion::{Criterion, Dimensionless, Region, Sampling};
 use plant_sim::preset::{PRESETS, Preset, preset};
 use serde::Serialize;
@@ -72,16 +73,22 @@ pub struct Plan {
     counts_per_rev: f64,
     count_rad: f64,
     sample_period_s: f64,
-    /// 2b/T.
+    /// Te = T_max + 2·delay + 2τ: what stands for T where the loop is not ideal.
+    effective_period_s: f64,
+    /// 2b/Te.
     viscous_limit_nm_rad: f64,
     /// 2c/Δ.
     coulomb_limit_nm_rad: f64,
     /// The smaller of the two: passive at every speed.
     largest_stiffness_nm_rad: f64,
+    /// What the energy ledger applies at most: max(min(m/Te², 3c/Δ), the same).
+    ledger_cap_nm_rad: f64,
     at_speed: Vec<AtSpeed>,
     wanted: Option<Wanted>,
     #[serde(skip)]
     criterion: Criterion<f64>,
+    #[serde(skip)]
+    timing: Timing,
 }
 
 /// How stiff at one speed.
@@ -151,12 +158,13 @@ pub fn run(args: &Args) -> Result<()> {
                 .to_string_lossy()
                 .into_owned();
             let sampling = Sampling {
-                period_s: file.period_s,
+                period_s: file.timing.effective_s(),
                 count_rad: file.count_rad(),
             };
-            let criterion = Criterion::new(file.device, sampling)
-                .with_context(|| path.display().to_string())?;
-            Plan::new(name, path.display().to_string(), criterion, args.stiffness)
+            let source = path.display().to_string();
+            let criterion =
+                Criterion::new(file.device, sampling).with_context(|| source.clone())?;
+            Plan::new(name, source, criterion, file.timing, args.stiffness)
         }
         None => {
             let known = args.motor.unwrap_or(&PRESETS[0]);
@@ -169,6 +177,7 @@ pub fn run(args: &Args) -> Result<()> {
                 known.name.into(),
                 known.source.into(),
                 criterion,
+                Timing::ideal(known.period_s),
                 args.stiffness,
             )
         }
@@ -203,7 +212,13 @@ pub fn describing_function_stiffness(criterion: &Criterion<f64>, speed_rad_s: f6
 }
 
 impl Plan {
-    fn new(name: String, source: String, criterion: Criterion<f64>, wanted: Option<f64>) -> Self {
+    fn new(
+        name: String,
+        source: String,
+        criterion: Criterion<f64>,
+        timing: Timing,
+        wanted: Option<f64>,
+    ) -> Self {
         let device = criterion.device();
         let sampling = criterion.sampling();
         let at_speed = SPEEDS_RAD_S.map(|speed_rad_s| AtSpeed {
@@ -223,13 +238,18 @@ impl Plan {
             coulomb_nm: device.coulomb_nm,
             counts_per_rev: TAU / sampling.count_rad,
             count_rad: sampling.count_rad,
-            sample_period_s: sampling.period_s,
+            sample_period_s: timing.period_s,
+            effective_period_s: sampling.period_s,
             viscous_limit_nm_rad: criterion.viscous_limit(),
             coulomb_limit_nm_rad: criterion.coulomb_limit(),
             largest_stiffness_nm_rad: criterion.largest_stiffness(),
+            ledger_cap_nm_rad: (device.inertia_kg_m2 / sampling.period_s.powi(2))
+                .min(3.0 * device.coulomb_nm / sampling.count_rad)
+                .max(criterion.largest_stiffness()),
             at_speed: at_speed.into(),
-            wanted: wanted.map(|stiffness| Wanted::new(&criterion, stiffness)),
+            wanted: wanted.map(|stiffness| Wanted::new(&criterion, &timing, stiffness)),
             criterion,
+            timing,
         }
     }
 }
@@ -251,23 +271,37 @@ impl fmt::Display for Plan {
             short(self.count_rad),
             digits(self.sample_period_s, 6)
         )?;
+        let period = if self.timing == Timing::ideal(self.sample_period_s) {
+            "T"
+        } else {
+            let te = digits(self.effective_period_s, 4);
+            writeln!(
+                f,
+                "  with jitter, missed ticks, delay and lag as good as Te = {te} s"
+            )?;
+            "Te"
+        };
         writeln!(f, "\nHow stiff can it be, Nm/rad?")?;
         let limit = |k: f64| answer((k > 0.0).then_some(k));
         for (what, k) in [
             (
-                "sampling and viscous friction, 2b/T: ",
+                format!("sampling and viscous friction, 2b/{period}:"),
                 self.viscous_limit_nm_rad,
             ),
             (
-                "encoder and Coulomb friction, 2c/Δ:  ",
+                "encoder and Coulomb friction, 2c/Δ:".into(),
                 self.coulomb_limit_nm_rad,
             ),
             (
-                "passive at every speed (the smaller):",
+                "passive at every speed (the smaller):".into(),
                 self.largest_stiffness_nm_rad,
             ),
+            (
+                format!("ledger, at most min(m/{period}², 3c/Δ):"),
+                self.ledger_cap_nm_rad,
+            ),
         ] {
-            writeln!(f, "  {what}  {:>10}", limit(k))?;
+            writeln!(f, "  {what:<38} {:>10}", limit(k))?;
         }
         writeln!(
             f,
@@ -300,11 +334,15 @@ fn above_zero(number: f64) -> Option<f64> {
 }
 
 impl Wanted {
-    fn new(criterion: &Criterion<f64>, stiffness: f64) -> Self {
+    fn new(criterion: &Criterion<f64>, timing: &Timing, stiffness: f64) -> Self {
         let device = criterion.device();
         let (b, c) = (device.viscous_nm_s_rad, device.coulomb_nm);
         let sampling = criterion.sampling();
         let (period, count) = (sampling.period_s, sampling.count_rad);
+        // The sample period whose Te is this one, the rest of the loop being as it is.
+        let ticks = if timing.may_miss { 2.0 } else { 1.0 };
+        let period_of =
+            |effective_s: f64| timing.period_s + (effective_s - timing.effective_s()) / ticks;
         let point: Dimensionless<f64> = criterion.dimensionless(stiffness);
         let passive = stiffness <= criterion.largest_stiffness();
         let threshold = criterion.power_margin_nm(stiffness, 0.0) / (0.5 * stiffness * period - b);
@@ -316,7 +354,7 @@ impl Wanted {
             OneChange {
                 speed_rad_s: v,
                 passive_as_it_is: criterion.power_margin_nm(stiffness, v) >= 0.0 && can_rest,
-                sample_period_s_at_most: above_zero(period_left).filter(|_| can_rest),
+                sample_period_s_at_most: above_zero(period_of(period_left)).filter(|_| can_rest),
                 counts_per_rev_at_least: above_zero(
                     TAU / count_left.min(2.0 * c / stiffness).max(0.0),
                 ),
@@ -338,7 +376,7 @@ impl Wanted {
             passive_up_to_rad_s: above_zero(threshold)
                 .filter(|_| point.region() == Region::LocallyPassive),
             every_speed: Everything {
-                sample_period_s_at_most: above_zero(2.0 * b / stiffness),
+                sample_period_s_at_most: above_zero(period_of(2.0 * b / stiffness)),
                 counts_per_rev_at_least: above_zero(PI * stiffness / c),
                 viscous_nm_s_rad_at_least: 0.5 * stiffness * period,
                 coulomb_nm_at_least: 0.5 * stiffness * count,

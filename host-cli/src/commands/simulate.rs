@@ -4,18 +4,21 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use control::criterion::{Criterion, Dimensionless, Sampling};
-use plant_sim::closed_loop::{Report, Scene};
+use control::config::Law;
+use control::criterion::Dimensionless;
+use control::tick::Tick;
+use plant_sim::closed_loop::Report;
 use plant_sim::display::Display;
 use plant_sim::energy::reachable_speed;
 use plant_sim::hold::State;
 use plant_sim::outcome::{Class, DIVERGED_COUNTS};
 use serde::Serialize;
 
-use crate::charts::run::{Envelope, RunChart};
+use crate::charts::run::{Curves, RunChart};
 use crate::number::{self, digits};
 use crate::output::{self, Output};
-use crate::scene;
+use crate::reasons;
+use crate::scene::{self, Loaded};
 use crate::stop::{self, Usage};
 
 /// Run one scene, or one dimensionless display, on the exact plant.
@@ -24,7 +27,7 @@ use crate::stop::{self, Usage};
 #[derive(clap::Args)]
 #[command(
     allow_negative_numbers = true,
-    after_help = "Examples:\n  knob simulate scenes/fig6c.toml --plot run.svg\n  knob simulate --mu 50 --beta 0.3 --sigma 0.7 --v0 10 --samples 50000 --json"
+    after_help = "Examples:\n  knob simulate scenes/fig6c.toml --plot run.svg\n  knob simulate scenes/ledger-push.toml --trace run.csv\n  knob simulate --mu 50 --beta 0.3 --sigma 0.7 --v0 10 --samples 50000 --json"
 )]
 pub struct Args {
     /// The scene file (TOML)
@@ -56,7 +59,7 @@ pub struct Args {
     /// Write every sample of the scene as CSV
     #[arg(long, value_name = "OUT.csv")]
     trace: Option<PathBuf>,
-    /// Draw the scene: point and critical line in the plane, angle against time
+    /// Draw the scene: angle against time, beside it point and critical line in the plane, or torque and account
     #[arg(long, value_name = "OUT.svg")]
     plot: Option<PathBuf>,
     /// Replace files that exist
@@ -199,12 +202,24 @@ struct SceneJson {
     energy_dissipated_j: f64,
     energy_given_out_j: f64,
     reversals_last_eighth: u64,
-    /// (10) for the demanded stiffness, with the speed that the start can turn into.
+    /// (10) for the demanded stiffness, with the speed that the start can turn into, delay, lag and
+    /// all.
     criterion_holds_at_start: bool,
+    /// The law in force at the end; of auto one of static, episode, ledger.
+    law_end: &'static str,
+    /// Why less than the demand was applied at the end, in words.
+    reason_end: &'static str,
+    /// The last torque commanded.
+    torque_end_nm: f32,
+    /// The stiffness applied at the end.
+    stiffness_end_nm_rad: f32,
+    /// What the ledger's account held; 0 under other laws.
+    min_account_j: f64,
+    max_account_j: f64,
 }
 
 fn run_scene(args: &Args, path: &Path) -> Result<()> {
-    let scene = scene::load(path)?;
+    let loaded = scene::load(path)?;
     let mut trace = prepare("--trace", args.trace.as_deref(), args.force)?;
     let mut plot = prepare("--plot", args.plot.as_deref(), args.force)?;
     for (flag, output, others) in [
@@ -224,23 +239,31 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
     if let Some(trace) = &mut trace {
         writeln!(
             trace,
-            "time_s,angle_rad,velocity_rad_s,count,torque_nm,stiffness_nm_rad,margin_nm"
+            "time_s,angle_rad,velocity_rad_s,count,torque_nm,stiffness_nm_rad,margin_nm,account_j,law,reason"
         )?;
     }
-    let mut envelope = Envelope::new();
+    let mut curves = Curves::new();
     let mut trouble = None;
-    let report = scene.run(|sample| {
-        let time_s = sample.number as f64 * scene.config.period_s;
+    let mut last = None;
+    let report = loaded.run(|sample| {
+        let time_s = loaded.time_s(sample);
         let State { position, velocity } = sample.state;
         let tick = &sample.tick;
+        last = Some((time_s, *tick));
         if plot.is_some() {
-            envelope.enter(time_s, position);
+            curves.enter(time_s, sample);
         }
         if let Some(trace) = &mut trace {
             let row = writeln!(
                 trace,
-                "{time_s},{position},{velocity},{},{},{},{}",
-                tick.count, tick.torque_nm, tick.stiffness_nm_rad, tick.margin_nm
+                "{time_s},{position},{velocity},{},{},{},{},{},{},{}",
+                tick.count,
+                tick.torque_nm,
+                tick.stiffness_nm_rad,
+                tick.margin_nm,
+                tick.account_j,
+                reasons::law(tick.law),
+                reasons::code(tick.reason)
             );
             trouble = row.err();
         }
@@ -251,20 +274,19 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
         return Err(trouble);
     }
     stop::check()?;
+    let (last_s, last) = last.context("a run of no samples")?;
+    let end_s = last_s + loaded.scene.clock.period_s;
     if let Some(plot) = &mut plot {
-        envelope.enter(
-            report.samples as f64 * scene.config.period_s,
-            report.end.position,
-        );
+        curves.end(end_s, report.end.position);
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
-        let chart = RunChart::new(&name, &scene, &report, &envelope)?;
+        let chart = RunChart::new(&name, &loaded, &report, &curves)?;
         write!(plot, "{}", chart.svg()?)?;
     }
     output::publish([trace, plot].into_iter().flatten().collect())?;
     if args.json {
-        return output::say(&(serde_json::to_string(&json(&scene, &report)?)? + "\n"));
+        return output::say(&(serde_json::to_string(&json(&loaded, &report, &last)?)? + "\n"));
     }
-    let mut text = describe(&scene, &report)?;
+    let mut text = describe(&loaded, &report, &last, end_s)?;
     for path in [&args.trace, &args.plot].into_iter().flatten() {
         writeln!(text, "wrote        {}", path.display())?;
     }
@@ -276,19 +298,12 @@ fn prepare(flag: &str, path: Option<&Path>, force: bool) -> Result<Option<Output
         .transpose()
 }
 
-fn criterion(scene: &Scene) -> Result<Criterion<f64>> {
-    let sampling = Sampling {
-        period_s: scene.config.period_s,
-        count_rad: scene.config.count_rad(),
-    };
-    Ok(Criterion::new(scene.device, sampling)?)
-}
-
-fn json(scene: &Scene, report: &Report) -> Result<SceneJson> {
+fn json(loaded: &Loaded, report: &Report, last: &Tick) -> Result<SceneJson> {
+    let scene = &loaded.scene;
     let demand = scene.config.stiffness_nm_rad;
     let speed = scene.reachable_speed_rad_s(demand);
     Ok(SceneJson {
-        criterion_holds_at_start: criterion(scene)?.power_margin_nm(demand, speed) >= 0.0,
+        criterion_holds_at_start: loaded.criterion()?.power_margin_nm(demand, speed) >= 0.0,
         class: report.class.to_string(),
         samples: report.samples,
         angle_rad: report.end.position,
@@ -304,16 +319,31 @@ fn json(scene: &Scene, report: &Report) -> Result<SceneJson> {
         energy_dissipated_j: report.ledger.dissipated,
         energy_given_out_j: report.ledger.given_out,
         reversals_last_eighth: report.reversals_last_eighth,
+        law_end: reasons::law(last.law),
+        reason_end: reasons::words(last.reason),
+        torque_end_nm: last.torque_nm,
+        stiffness_end_nm_rad: last.stiffness_nm_rad,
+        min_account_j: report.account_j[0],
+        max_account_j: report.account_j[1],
     })
 }
 
-fn describe(scene: &Scene, report: &Report) -> Result<String> {
+fn describe(loaded: &Loaded, report: &Report, last: &Tick, end_s: f64) -> Result<String> {
+    let scene = &loaded.scene;
     let config = &scene.config;
-    let criterion = criterion(scene)?;
+    let criterion = loaded.criterion()?;
+    let account = match config.law {
+        Law::Ledger | Law::Auto => format!(
+            "\naccount      {:.3e} J at the end; {:.3e} to {:.3e} J",
+            last.account_j, report.account_j[0], report.account_j[1]
+        ),
+        Law::Raw | Law::Static | Law::Episode => String::new(),
+    };
     let speed = scene.reachable_speed_rad_s(config.stiffness_nm_rad);
     Ok(format!(
         "demand       K = {} Nm/rad; passive at every speed up to {} Nm/rad, at the {} rad/s that the start can reach up to {}\n\
-         applied      K = {} to {} Nm/rad; smallest margin {:.3e} Nm\n\
+         applied      K = {} to {} Nm/rad, {} at the end, with {} Nm; smallest margin {:.3e} Nm\n\
+         law          {} in force at the end: {}{account}\n\
          after        {} samples ({} s): {} rad, {} rad/s\n\
          class        {}{}\n\
          peaks        {:.6} rad, {:.6} Nm\n\
@@ -324,9 +354,13 @@ fn describe(scene: &Scene, report: &Report) -> Result<String> {
         digits(criterion.largest_stiffness_at(speed), 4),
         digits(report.min_stiffness_nm_rad, 4),
         digits(report.max_stiffness_nm_rad, 4),
+        digits(f64::from(last.stiffness_nm_rad), 4),
+        digits(f64::from(last.torque_nm), 4),
         report.min_margin_nm,
+        reasons::law(last.law),
+        reasons::words(last.reason),
         report.samples,
-        digits(report.samples as f64 * config.period_s, 6),
+        digits(end_s, 6),
         report.end.position,
         report.end.velocity,
         report.class,
