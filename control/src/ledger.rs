@@ -176,12 +176,6 @@ impl Ledger {
         self.nominal_nm = nominal_nm;
     }
 
-    /// Whether the account holds `stores_j` after a change to a torque.
-    #[inline]
-    pub fn covers(&self, stores_j: f32, torque_nm: f32) -> bool {
-        self.account_j - 0.5 * self.width_rad * (torque_nm - self.held_nm).abs() >= stores_j
-    }
-
     /// Steps 4 and 5 after [`Ledger::account`]; returns the torque, and why it is less.
     #[inline]
     pub fn torque(
@@ -205,7 +199,7 @@ impl Ledger {
                 sure_j -= self.lagging_nm.abs() * plan.tau_s * with;
             }
         }
-        if !(sure_j > 0.0) {
+        if sure_j < 0.0 {
             sure_j = 0.0;
         }
         let against = if wanted > 0.0 {

@@ -68,8 +68,8 @@ pub fn effective_criterion(
     positive("sample period (s)", timing.period_s)?;
     not_negative("jitter (s)", timing.jitter_s)?;
     positive("sample period less jitter (s)", timing.shortest_s())?;
-    not_negative("delay (s)", timing.delay_s)?;
-    not_negative("amplifier time constant (s)", timing.amplifier_tau_s)?;
+    not_negative("delay (s)", timing.delay_s as f32)?;
+    not_negative("amplifier time constant (s)", timing.amplifier_tau_s as f32)?;
     not_negative("torque step (Nm)", torque_step_nm)?;
     positive("count size (rad)", config.count_rad())?;
     let left_nm = coulomb.low - 0.5 * torque_step_nm;

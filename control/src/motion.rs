@@ -214,14 +214,13 @@ impl Motion {
             self.position.low - shift + (self.velocity.low - 0.5 * newest.gained.high) * dt;
         let mut high =
             self.position.high - shift + (self.velocity.high - 0.5 * newest.gained.low) * dt;
-        // Written so that what is no number becomes the whole cell.
-        if !(low > -half) {
+        if low < -half {
             low = -half;
         }
-        if !(high < half) {
+        if high > half {
             high = half;
         }
-        if !(low <= high) {
+        if low > high {
             low = -half;
             high = half;
             if tuning.hand {

@@ -66,8 +66,10 @@ impl LedgerPlan {
     /// A torque cut towards zero to whole steps of the DAC, which then has nothing to round.
     #[inline]
     pub fn cut(&self, torque_nm: f32) -> f32 {
-        if self.step_nm > 0.0 {
-            (torque_nm * self.steps_per_nm) as i32 as f32 * self.step_nm
+        let steps = torque_nm * self.steps_per_nm;
+        // Beyond 2²⁴ steps an f32 is coarser than they are.
+        if self.step_nm > 0.0 && steps.abs() < 16_777_216.0 {
+            steps as i32 as f32 * self.step_nm
         } else {
             torque_nm
         }
@@ -123,7 +125,7 @@ impl Plan {
     fn tuned(config: &Config, tuning: Tuning) -> Result<Self, ConfigError> {
         positive("count size (rad)", config.count_rad())?;
         let profile = Profile::new(&config.shape, config.count_rad())?;
-        not_negative("torque step (Nm)", config.torque_step_nm)?;
+        not_negative("torque step (Nm)", config.torque_step_nm as f32)?;
         // Raw hands its torque to the DAC, which rounds; the other laws cut it towards zero.
         let rounding = match config.law {
             Law::Raw => config.torque_step_nm,

@@ -1,6 +1,6 @@
 //! A square root of + × ÷ alone, for the tick.
 
-/// √x or a little more, for finite x ≥ 0: at most 3e-7 of it too large, and at most one
+/// √x or a little more, for finite x ≥ 0: at most 5e-7 of it too large, and at most one
 /// rounding too small.
 ///
 /// Halving the exponent guesses √x to 4 %; each step of Heron's, g ← ½(g + x/g), halves
@@ -33,7 +33,7 @@ mod tests {
             let x = x as f32;
             let exact = f64::from(x).sqrt();
             let error = (f64::from(root(x)) - exact) / exact;
-            prop_assert!((-1.2e-7..3.5e-7).contains(&error), "{x}: {error:e}");
+            prop_assert!((-1.2e-7..5e-7).contains(&error), "{x}: {error:e}");
         }
     }
 }

@@ -90,7 +90,10 @@ enum Kind {
 const FURTHEST_COUNT: f64 = (1_u32 << 30) as f64;
 
 /// 2⁶⁴.
-const TURN: f64 = 18_446_744_073_709_551_616.0;
+const TURN: f64 = (1_u64 << 32) as f64 * (1_u64 << 32) as f64;
+
+/// 2⁻³²: a signed 32-bit phase in periods.
+const PART: f32 = 1.0 / (1_u64 << 32) as f32;
 
 impl Profile {
     /// A shape sensed in counts of `count_rad` rad.
@@ -129,7 +132,7 @@ impl Profile {
                 Kind::Detent {
                     step: (TURN / counts) as u64,
                     phase: (-offset_rad / period_rad * TURN) as i64 as u64,
-                    unit_rad: (period_rad / f64::from(u32::MAX)) as f32,
+                    unit_rad: (period_rad / (1_u64 << 32) as f64) as f32,
                     amplitude_rad: (period_rad / core::f64::consts::TAU) as f32,
                 }
             }
@@ -179,7 +182,7 @@ impl Profile {
                 // The upper half, as a signed part of the period: within ±½.
                 let part = (phase >> 32) as i32 as f32;
                 Reading {
-                    pull_rad: -amplitude_rad * sine_of_turns(part * (1.0 / 4_294_967_296.0)),
+                    pull_rad: -amplitude_rad * sine_of_turns(part * PART),
                     deflection_rad: part * unit_rad,
                     free: false,
                 }
@@ -198,8 +201,7 @@ impl Profile {
                 amplitude_rad,
                 ..
             } => {
-                let half_turns =
-                    0.5 * (reading.deflection_rad / unit_rad) * (1.0 / 4_294_967_296.0);
+                let half_turns = 0.5 * (reading.deflection_rad / unit_rad) * PART;
                 let height = amplitude_rad * sine_of_turns(half_turns);
                 2.0 * height * height
             }

@@ -13,10 +13,12 @@
 //! *Auto.* The plain spring where the demand is passive at every speed; the episode where it is
 //! at the speeds of the moment; else the ledger. From the spring to the ledger the account begins
 //! with what the spring stores, K·U(q), ⅛KΔ² less than the quantised potential (16), which
-//! pays for what sampling may have made. Back to the spring only when the account holds all that
-//! the spring could anywhere in its cell: S − |F − K·u|·w/2 ≥ K·(U(q) + ½Δ|u| + ⅛Δ²), u the torque and U
-//! the potential over the stiffness.
-//! So a change adds no energy, in contact or out of it.
+//! pays for what sampling may have made.
+//! Back to the spring only where it starts with nothing: on the free side of a wall; for
+//! a spring that is passive at every speed in the cell of its zero, as under static; else at rest where
+//! friction holds its whole torque, K·(|q| + Δ/2) ≤ c, so that what it stores is no more than what friction
+//! takes on the way back. And never with an account below 0. So a change adds no energy, in
+//! contact or out of it.
 
 use crate::config::Law;
 use crate::encoder::Encoder;
@@ -87,6 +89,8 @@ pub struct Controller {
     seen: bool,
     /// Under auto the law in force; else the plan's.
     in_force: Law,
+    /// What the spring that follows the ledger stored when it began, which nobody has put in, J.
+    unpaid_j: f32,
     ledger: Ledger,
 }
 
@@ -105,9 +109,11 @@ impl Controller {
             contact_limit_nm_rad: plan.criterion.largest_stiffness(),
             seen: false,
             in_force: match plan.law {
+                Law::Auto if plan.limit_reason == Reason::None => Law::Static,
                 Law::Auto => Law::Ledger,
                 law => law,
             },
+            unpaid_j: 0.0,
             ledger: Ledger::new(&plan.ledger, 0.0, 0.0),
         }
     }
@@ -141,31 +147,21 @@ impl Controller {
     /// step upwards: see the module.
     pub fn adopt(&mut self, plan: Plan) {
         let old = self.plan;
-        if plan.profile != old.profile {
+        // Raw vouches for no energy; the others for what was put into their spring.
+        let stored_j = match self.in_force {
+            Law::Static | Law::Episode => self.stored_j(self.encoder.count()),
+            Law::Raw | Law::Ledger | Law::Auto => 0.0,
+        };
+        if plan.profile != old.profile || self.in_force == Law::Ledger {
             self.applied_nm_rad = 0.0;
         }
         // What this contact has allowed so far was found with other values.
         if plan.criterion != old.criterion || plan.law != old.law {
             self.contact_limit_nm_rad = plan.criterion.largest_stiffness();
         }
-        let ledger_goes_on =
-            self.in_force == Law::Ledger && plan.ledger.mechanics == old.ledger.mechanics;
-        match plan.law {
-            Law::Ledger | Law::Auto if !ledger_goes_on => {
-                // Raw vouches for no energy; the others for what their spring stores.
-                let reading = old.profile.read(self.encoder.count());
-                let stored_j = match self.in_force {
-                    Law::Static | Law::Episode => {
-                        self.applied_nm_rad * old.profile.potential_rad2(&reading)
-                    }
-                    Law::Raw | Law::Ledger | Law::Auto => 0.0,
-                };
-                self.ledger = Ledger::new(&plan.ledger, self.ledger.held_nm, stored_j);
-            }
-            Law::Raw | Law::Static | Law::Episode if self.in_force == Law::Ledger => {
-                self.applied_nm_rad = 0.0;
-            }
-            _ => {}
+        let goes_on = self.in_force == Law::Ledger && plan.ledger.mechanics == old.ledger.mechanics;
+        if !goes_on {
+            self.ledger = Ledger::new(&plan.ledger, self.ledger.held_nm, stored_j);
         }
         self.in_force = match plan.law {
             Law::Auto => Law::Ledger,
@@ -180,15 +176,6 @@ impl Controller {
         self.encoder.hardware_count()
     }
 
-    #[doc(hidden)]
-    pub fn debug(&self) -> impl core::fmt::Debug {
-        (
-            self.ledger.motion.position(),
-            self.ledger.motion.velocity(),
-            self.ledger.motion.hand_rad_s2(),
-        )
-    }
-
     /// The plan in force.
     #[must_use]
     pub fn plan(&self) -> &Plan {
@@ -201,33 +188,36 @@ impl Controller {
         let before = self.encoder.count();
         let count = self.encoder.update(hardware_counter);
         let moved = count.wrapping_sub(before);
-        let reading = self.plan.profile.read(count);
         let counts = moved.unsigned_abs();
-        let speed_step = self.plan.ledger.mechanics.count_rad / duration_s;
-        let fast = counts.saturating_add(1) as f32 * speed_step;
-        let seen = self.seen;
+        let count_speed = self.plan.ledger.mechanics.count_rad / duration_s;
+        let step = Step {
+            before,
+            moved,
+            duration_s,
+            count_speed,
+            fast: counts.saturating_add(1) as f32 * count_speed,
+            seen: self.seen,
+        };
         self.seen = true;
-        let (torque, stiffness, reason) = match self.plan.law {
-            Law::Raw | Law::Static | Law::Episode => {
-                self.clamped(&reading, fast, seen, moved, speed_step)
-            }
-            Law::Ledger => self.ledgered(&reading, seen, moved, duration_s, speed_step),
-            Law::Auto => {
-                self.automatic(&reading, before, fast, seen, moved, duration_s, speed_step)
-            }
+        let reading = self.plan.profile.read(count);
+        let (torque_nm, reason) = match self.plan.law {
+            Law::Raw | Law::Static | Law::Episode => self.clamped(&reading, &step),
+            Law::Ledger => self.ledgered(&reading, &step),
+            Law::Auto => self.automatic(&reading, &step),
         };
         let plan = &self.plan;
+        let stiffness = self.applied_nm_rad;
         let fast = if plan.law == Law::Raw {
             let mobility = plan.ledger.mechanics.mobility;
-            reachable_speed_rad_s(fast, stiffness, reading.pull_rad, mobility)
+            reachable_speed_rad_s(step.fast, stiffness, reading.pull_rad, mobility)
         } else {
-            fast
+            step.fast
         };
-        let slow = counts.saturating_sub(1) as f32 * speed_step;
+        let slow = counts.saturating_sub(1) as f32 * count_speed;
         Tick {
             count,
             moved,
-            torque_nm: torque,
+            torque_nm,
             stiffness_nm_rad: stiffness,
             margin_nm: plan.criterion.worst_power_margin_nm(stiffness, slow, fast),
             account_j: if self.in_force == Law::Ledger {
@@ -242,14 +232,7 @@ impl Controller {
 
     /// The raw, the static and the episode law.
     #[inline]
-    fn clamped(
-        &mut self,
-        reading: &Reading,
-        fast: f32,
-        seen: bool,
-        moved: i32,
-        speed_step: f32,
-    ) -> (f32, f32, Reason) {
+    fn clamped(&mut self, reading: &Reading, step: &Step) -> (f32, Reason) {
         let plan = &self.plan;
         let zero_force =
             reading.free || reading.deflection_rad.abs() <= plan.ledger.mechanics.half_count_rad;
@@ -258,12 +241,12 @@ impl Controller {
         if plan.law == Law::Episode {
             // Where 2b/Te < 2c/Δ the limit falls with speed, so the fast end is the worse
             // one; else it never falls below 2c/Δ, which the target keeps to anyway.
-            let now = if seen {
-                plan.criterion.largest_stiffness_at(fast)
+            let now = if step.seen {
+                plan.criterion.largest_stiffness_at(step.fast)
             } else {
                 plan.criterion.largest_stiffness()
             };
-            if (zero_force && seen) || now < self.contact_limit_nm_rad {
+            if (zero_force && step.seen) || now < self.contact_limit_nm_rad {
                 self.contact_limit_nm_rad = now;
             }
             if self.contact_limit_nm_rad < target {
@@ -276,20 +259,15 @@ impl Controller {
         } else {
             reason = Reason::ZeroForce;
         }
-        let stiffness = self.applied_nm_rad;
-        let (torque, limited) = self.spring_torque(reading, moved, speed_step);
+        let torque = self.spring_torque(reading, step, &mut reason);
         self.ledger.held_nm = torque;
-        (
-            torque,
-            stiffness,
-            if limited { Reason::Torque } else { reason },
-        )
+        (torque, reason)
     }
 
     /// The profile's torque at the applied stiffness, with as much virtual damping as the stiffness
-    /// leaves room for, within the torque limit; true if that acts.
+    /// leaves room for, within the torque limit; says so where that acts.
     #[inline]
-    fn spring_torque(&self, reading: &Reading, moved: i32, speed_step: f32) -> (f32, bool) {
+    fn spring_torque(&self, reading: &Reading, step: &Step, reason: &mut Reason) -> f32 {
         let plan = &self.plan;
         let stiffness = self.applied_nm_rad;
         let mut torque = stiffness * reading.pull_rad;
@@ -298,289 +276,402 @@ impl Controller {
                 Law::Raw => plan.demanded_damping,
                 _ => smaller(plan.demanded_damping, plan.damping_limit(stiffness)),
             };
-            torque -= damping * (moved as f32 * speed_step);
+            torque -= damping * (step.moved as f32 * step.count_speed);
         }
         let most = plan.torque_max_nm;
-        let limited = torque.abs() > most;
-        if limited {
+        if torque.abs() > most {
+            *reason = Reason::Torque;
             torque = if torque > 0.0 { most } else { -most };
         }
-        if plan.law != Law::Raw {
-            torque = plan.ledger.cut(torque);
+        if plan.law == Law::Raw {
+            torque
+        } else {
+            plan.ledger.cut(torque)
         }
-        (torque, limited)
     }
 
     /// The ledger.
     #[inline]
-    fn ledgered(
-        &mut self,
-        reading: &Reading,
-        seen: bool,
-        moved: i32,
-        duration_s: f32,
-        speed_step: f32,
-    ) -> (f32, f32, Reason) {
-        let plan = &self.plan;
-        if seen {
-            self.ledger.enter(&plan.ledger, moved as f32, duration_s);
+    fn ledgered(&mut self, reading: &Reading, step: &Step) -> (f32, Reason) {
+        let plan = &self.plan.ledger;
+        if step.seen {
+            self.ledger.enter(plan, step.moved as f32, step.duration_s);
         }
-        self.ledger.account(
-            &plan.ledger,
-            &plan.tuning(),
-            moved,
-            duration_s,
-            plan.ledger.stiffness * reading.pull_rad,
-        );
-        self.ledger_torque(reading, moved, speed_step)
+        self.account(reading, step);
+        self.ledger_torque(reading, step)
     }
 
     #[inline]
-    fn ledger_torque(
-        &mut self,
-        reading: &Reading,
-        moved: i32,
-        speed_step: f32,
-    ) -> (f32, f32, Reason) {
+    fn account(&mut self, reading: &Reading, step: &Step) {
+        let plan = &self.plan;
+        self.ledger.account(
+            &plan.ledger,
+            &plan.tuning(),
+            step.moved,
+            step.duration_s,
+            plan.ledger.stiffness * reading.pull_rad,
+        );
+    }
+
+    #[inline]
+    fn ledger_torque(&mut self, reading: &Reading, step: &Step) -> (f32, Reason) {
         let plan = &self.plan.ledger;
-        let mut wanted = plan.stiffness * reading.pull_rad;
-        let spring = wanted;
+        let spring = plan.stiffness * reading.pull_rad;
+        let mut wanted = spring;
         if plan.damping > 0.0 && !reading.free {
-            wanted -= plan.damping * (moved as f32 * speed_step);
+            wanted -= plan.damping * (step.moved as f32 * step.count_speed);
         }
-        let (torque, reason) = self.ledger.torque(plan, &self.plan.tuning(), moved, wanted);
+        let (torque, reason) = self
+            .ledger
+            .torque(plan, &self.plan.tuning(), step.moved, wanted);
         // Less than the whole torque is less than the whole stiffness.
-        let stiffness = if torque.abs() < spring.abs() {
-            torque / reading.pull_rad
+        self.applied_nm_rad = if torque.abs() < spring.abs() {
+            let stiffness = torque / reading.pull_rad;
+            if stiffness > 0.0 { stiffness } else { 0.0 }
         } else {
             plan.stiffness
         };
-        self.applied_nm_rad = stiffness;
-        (
-            torque,
-            if stiffness > 0.0 { stiffness } else { 0.0 },
-            reason,
-        )
+        (torque, reason)
     }
 
     /// The cheapest law that applies the whole demand, or the ledger.
     #[inline]
-    #[expect(clippy::too_many_arguments)]
-    fn automatic(
-        &mut self,
-        reading: &Reading,
-        before: i32,
-        fast: f32,
-        seen: bool,
-        moved: i32,
-        duration_s: f32,
-        speed_step: f32,
-    ) -> (f32, f32, Reason) {
+    fn automatic(&mut self, reading: &Reading, step: &Step) -> (f32, Reason) {
         let plan = &self.plan;
         let demanded = plan.demanded_nm_rad();
         // The static limit holds the whole demand; or that of the speeds of the moment does.
         let plain = plan.limit_reason == Reason::None;
         let cheap = plain
             || (plan.episode_may_do
-                && seen
-                && demanded <= plan.criterion.largest_stiffness_at(fast));
+                && step.seen
+                && demanded <= plan.criterion.largest_stiffness_at(step.fast));
         let spring_law = if plain { Law::Static } else { Law::Episode };
+        if step.seen && !(plain && self.in_force == Law::Static) {
+            self.ledger
+                .enter(&plan.ledger, step.moved as f32, step.duration_s);
+        }
         if self.in_force != Law::Ledger {
-            if !plain {
-                self.ledger.enter(&plan.ledger, moved as f32, duration_s);
-            }
             if cheap {
-                return self.plain_spring(spring_law, reading, moved, speed_step);
+                return self.plain_spring(spring_law, reading, step);
             }
             // The speed has grown beyond what the spring is good for: the ledger takes over, as
             // of the last tick, with what the spring stored.
-            let stored =
-                self.applied_nm_rad * plan.profile.potential_rad2(&plan.profile.read(before));
-            self.ledger.take_over(&plan.ledger, stored);
+            let stored_j = self.stored_j(step.before);
+            self.ledger.take_over(&self.plan.ledger, stored_j);
             self.in_force = Law::Ledger;
-        } else if seen {
-            self.ledger.enter(&plan.ledger, moved as f32, duration_s);
         }
-        let plan = &self.plan;
-        self.ledger.account(
-            &plan.ledger,
-            &plan.tuning(),
-            moved,
-            duration_s,
-            plan.ledger.stiffness * reading.pull_rad,
-        );
-        if cheap && seen {
-            // The potential anywhere in the cell, at most.
-            let half = plan.ledger.mechanics.half_count_rad;
-            let stores = if reading.free {
+        self.account(reading, step);
+        if cheap && self.may_hand_over(plain, reading, step) {
+            let furthest = reading.deflection_rad.abs() + self.plan.ledger.mechanics.half_count_rad;
+            self.unpaid_j = if reading.free {
                 0.0
             } else {
-                demanded
-                    * (plan.profile.potential_rad2(reading)
-                        + half * (reading.pull_rad.abs() + 0.5 * half))
+                0.5 * demanded * (furthest * furthest)
             };
-            if self.ledger.covers(stores, demanded * reading.pull_rad) {
-                self.in_force = spring_law;
-                return self.plain_spring(spring_law, reading, moved, speed_step);
-            }
+            return self.plain_spring(spring_law, reading, step);
         }
-        self.ledger_torque(reading, moved, speed_step)
+        self.ledger_torque(reading, step)
+    }
+
+    /// What was put into the spring in force, at a count, J.
+    fn stored_j(&self, count: i32) -> f32 {
+        let profile = &self.plan.profile;
+        let all = self.applied_nm_rad * profile.potential_rad2(&profile.read(count));
+        let paid = all - self.unpaid_j;
+        if paid > 0.0 { paid } else { 0.0 }
+    }
+
+    /// Whether the spring may follow the ledger: see the module.
+    #[inline]
+    fn may_hand_over(&self, plain: bool, reading: &Reading, step: &Step) -> bool {
+        let plan = &self.plan;
+        let mechanics = &plan.ledger.mechanics;
+        let deflection = reading.deflection_rad.abs();
+        if self.ledger.account_j < 0.0 {
+            false
+        } else if reading.free || (plain && deflection <= mechanics.half_count_rad) {
+            true
+        } else {
+            let furthest = deflection + mechanics.half_count_rad;
+            step.seen
+                && step.moved == 0
+                && plan.demanded_nm_rad() * furthest <= mechanics.coulomb_low
+        }
     }
 
     #[inline]
-    fn plain_spring(
-        &mut self,
-        law: Law,
-        reading: &Reading,
-        moved: i32,
-        speed_step: f32,
-    ) -> (f32, f32, Reason) {
+    fn plain_spring(&mut self, law: Law, reading: &Reading, step: &Step) -> (f32, Reason) {
         self.in_force = law;
         self.applied_nm_rad = self.plan.demanded_nm_rad();
-        let (torque, limited) = self.spring_torque(reading, moved, speed_step);
+        let mut reason = Reason::None;
+        let torque = self.spring_torque(reading, step, &mut reason);
         self.ledger.hold(&self.plan.ledger, torque);
-        (
-            torque,
-            self.applied_nm_rad,
-            if limited {
-                Reason::Torque
-            } else {
-                Reason::None
-            },
-        )
+        (torque, reason)
     }
 }
+
+/// What a tick sees of the time since the last.
+#[derive(Clone, Copy)]
+struct Step {
+    /// The count at the last tick.
+    before: i32,
+    /// Counts moved.
+    moved: i32,
+    duration_s: f32,
+    /// The speed of one count in that time, rad/s.
+    count_speed: f32,
+    /// The fastest mean speed that the counts allow, rad/s.
+    fast: f32,
+    /// There was a last tick.
+    seen: bool,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Believed, Config, Interval, Timing};
+    use crate::encoder::EncoderConfig;
+    use crate::shape::Shape;
     use proptest::prelude::*;
 
     const COUNT: f32 = core::f32::consts::TAU / 8192.0;
+    const PERIOD: f32 = 1e-3;
+    const SPRING: Shape = Shape::Spring { centre_rad: 0.0 };
+    const WALL: Shape = Shape::Wall { edge_rad: 0.0 };
 
-    fn re35(law: Law, stiffness_nm_rad: f64) -> Config {
+    fn re35(law: Law, shape: Shape, stiffness_nm_rad: f64) -> Config {
         Config {
             believed: Believed {
                 inertia_kg_m2: Interval::exactly(6.28e-6),
                 viscous_nm_s_rad: Interval::exactly(9e-6),
                 coulomb_nm: Interval::exactly(2e-3),
             },
-            period_s: 1e-3,
+            timing: Timing::ideal(1e-3),
+            torque_step_nm: 0.0,
             hardware_count_rad: core::f64::consts::TAU / 8192.0,
             encoder: EncoderConfig::new(16, 1).unwrap(),
-            side: Side::Both,
-            zero_rad: 0.0,
+            shape,
             stiffness_nm_rad,
+            damping_nm_s_rad: 0.0,
             law,
             torque_max_nm: 0.5,
         }
     }
 
+    fn plan(config: &Config) -> Plan {
+        Plan::new(config).unwrap()
+    }
+
     fn controller(config: &Config) -> Controller {
-        Controller::new(Plan::new(config).unwrap(), 0)
+        Controller::new(plan(config), 0)
+    }
+
+    /// A tick of the nominal period.
+    fn tick(controller: &mut Controller, count: i32) -> Tick {
+        controller.tick(count as u32, PERIOD)
     }
 
     #[test]
     fn raw_applies_the_demand_and_static_what_is_passive_at_every_speed() {
-        let tick = controller(&re35(Law::Raw, 1.0)).tick(10);
-        assert_eq!((tick.stiffness_nm_rad, tick.reason), (1.0, Reason::None));
-        assert!((tick.torque_nm + 10.5 * COUNT).abs() < 1e-8);
-        let tick = controller(&re35(Law::Static, 1.0)).tick(10);
-        assert!((tick.stiffness_nm_rad - 0.018).abs() < 1e-8);
-        assert_eq!(tick.reason, Reason::Viscous);
-        assert!((tick.torque_nm + 0.018 * 10.5 * COUNT).abs() < 1e-8);
-        let tick = controller(&re35(Law::Static, 0.01)).tick(10);
-        assert_eq!((tick.stiffness_nm_rad, tick.reason), (0.01, Reason::None));
-        let mut coarse = re35(Law::Static, 1.0);
+        let first = |config: &Config, count| tick(&mut controller(config), count);
+        let raw = first(&re35(Law::Raw, SPRING, 1.0), 10);
+        assert_eq!((raw.stiffness_nm_rad, raw.reason), (1.0, Reason::None));
+        assert!((raw.torque_nm + 10.5 * COUNT).abs() < 1e-8);
+        for law in [Law::Static, Law::Auto] {
+            let soft = first(&re35(law, SPRING, 0.01), 10);
+            assert_eq!((soft.stiffness_nm_rad, soft.reason), (0.01, Reason::None));
+            assert_eq!(soft.law, Law::Static);
+        }
+        let fixed = first(&re35(Law::Static, SPRING, 1.0), 10);
+        assert!((fixed.stiffness_nm_rad - 0.018).abs() < 1e-8);
+        assert_eq!(fixed.reason, Reason::Viscous);
+        assert!((fixed.torque_nm + 0.018 * 10.5 * COUNT).abs() < 1e-8);
+        let mut coarse = re35(Law::Static, SPRING, 1.0);
         coarse.hardware_count_rad = core::f64::consts::TAU / 20.0;
-        let tick = controller(&coarse).tick(0);
-        assert!((f64::from(tick.stiffness_nm_rad) - 4e-3 / coarse.count_rad()).abs() < 1e-8);
-        assert_eq!(tick.reason, Reason::Coulomb);
+        let fixed = first(&coarse, 0);
+        assert!((f64::from(fixed.stiffness_nm_rad) - 4e-3 / coarse.count_rad()).abs() < 1e-8);
+        assert_eq!(fixed.reason, Reason::Coulomb);
     }
 
     #[test]
     fn the_margin_is_the_worst_over_the_speeds_the_counts_allow() {
-        let mut stiff = controller(&re35(Law::Raw, 1.0));
+        // On the free side of a wall only the counts' speed tells.
+        let at = Shape::Wall { edge_rad: 1.0 };
+        let mut stiff = controller(&re35(Law::Raw, at, 1.0));
         let m = |speed: f32| (9e-6 - 0.5e-3) * speed + (2e-3 - 0.5 * COUNT);
-        let count_speed = COUNT / 1e-3;
-        assert!((stiff.tick(0).margin_nm - m(count_speed)).abs() < 1e-8);
+        let count_speed = COUNT / PERIOD;
+        let margin = |stiff: &mut Controller, count| tick(stiff, count).margin_nm;
+        let step = stiff.plan.profile.step_counts() as f32;
+        let m = |speed: f32| m(speed) - 0.5 * COUNT * (step - 1.0);
+        assert!((margin(&mut stiff, 0) - m(count_speed)).abs() < 1e-8);
         // Moved by 3 counts, either way: between 2 and 4 counts per sample, 4 is worse.
-        assert!((stiff.tick(3).margin_nm - m(4.0 * count_speed)).abs() < 1e-8);
-        assert!((stiff.tick(0).margin_nm - m(4.0 * count_speed)).abs() < 1e-8);
-        assert!((stiff.tick(0).margin_nm - m(count_speed)).abs() < 1e-8);
+        assert!((margin(&mut stiff, 3) - m(4.0 * count_speed)).abs() < 1e-8);
+        assert!((margin(&mut stiff, 0) - m(4.0 * count_speed)).abs() < 1e-8);
+        assert!((margin(&mut stiff, 0) - m(count_speed)).abs() < 1e-8);
         // Where viscous friction wins, the slow end is worse.
-        let mut soft = controller(&re35(Law::Raw, 0.01));
-        soft.tick(0);
+        let mut soft = controller(&re35(Law::Raw, SPRING, 0.01));
+        let _ = tick(&mut soft, 0);
         let want = (9e-6 - 0.5e-5) * 2.0 * count_speed + (2e-3 - 0.005 * COUNT);
-        assert!((soft.tick(3).margin_nm - want).abs() < 1e-8);
+        assert!((margin(&mut soft, 3) - want).abs() < 1e-8);
+        // At rest under load it answers for the speed that the load can turn into.
+        let mut loaded = controller(&re35(Law::Raw, SPRING, 1.0));
+        let reached = (count_speed.powi(2) + (26.5 * COUNT).powi(2) / 6.28e-6).sqrt();
+        let want = (9e-6 - 0.5e-3) * reached + (2e-3 - 0.5 * COUNT);
+        let _ = tick(&mut loaded, 26);
+        assert!((margin(&mut loaded, 26) - want).abs() < 1e-8);
     }
 
     #[test]
     fn an_episode_remembers_its_worst_speed_until_zero_force() {
-        let mut config = re35(Law::Episode, 1e3);
-        config.side = Side::Above;
+        let config = re35(Law::Episode, WALL, 1e3);
         let limit = |counts: f32| {
-            let speed = counts * COUNT / 1e-3;
+            let speed = counts * COUNT / PERIOD;
             2.0 * (9e-6 * speed + 2e-3) / (1e-3 * speed + COUNT)
         };
         let near = |have: f32, want: f32| (have / want - 1.0).abs() < 1e-5;
         let mut wall = controller(&config);
         // Free, at rest: all that a speed of up to one count per sample allows.
-        wall.tick(0xFFFF_FF00);
-        let tick = wall.tick(0xFFFF_FF00);
-        assert!(near(tick.stiffness_nm_rad, limit(1.0)) && tick.reason == Reason::Speed);
+        let _ = tick(&mut wall, -256);
+        let free = tick(&mut wall, -256);
+        assert!(near(free.stiffness_nm_rad, limit(1.0)) && free.reason == Reason::Speed);
         // In at 5 counts per sample, then slower: the stiffness stays.
-        wall.tick(0xFFFF_FFF9);
-        wall.tick(0xFFFF_FFFE);
-        let hit = wall.tick(3);
+        let _ = tick(&mut wall, -7);
+        let _ = tick(&mut wall, -2);
+        let hit = tick(&mut wall, 3);
         assert!(near(hit.stiffness_nm_rad, limit(6.0)) && hit.torque_nm < 0.0);
         for count in [5, 6, 6, 6, 5] {
-            let tick = wall.tick(count);
+            let slower = tick(&mut wall, count);
             assert_eq!(
-                (tick.stiffness_nm_rad, tick.reason),
+                (slower.stiffness_nm_rad, slower.reason),
                 (hit.stiffness_nm_rad, Reason::Speed)
             );
         }
         // A faster moment lowers it further, zero force releases it.
-        assert!(near(wall.tick(20).stiffness_nm_rad, limit(16.0)));
-        assert!(near(wall.tick(0xFFFF_FFFF).stiffness_nm_rad, limit(22.0)));
-        assert!(near(wall.tick(0xFFFF_FFFF).stiffness_nm_rad, limit(1.0)));
+        assert!(near(tick(&mut wall, 20).stiffness_nm_rad, limit(16.0)));
+        assert!(near(tick(&mut wall, -1).stiffness_nm_rad, limit(22.0)));
+        assert!(near(tick(&mut wall, -1).stiffness_nm_rad, limit(1.0)));
     }
 
     #[test]
     fn stiffness_falls_at_once_and_rises_at_zero_force() {
-        let plan = |stiffness| Plan::new(&re35(Law::Raw, stiffness)).unwrap();
-        let mut spring = Controller::new(plan(0.5), 0);
-        assert_eq!(spring.tick(10).stiffness_nm_rad, 0.5);
-        spring.adopt(plan(0.2));
-        assert_eq!(spring.tick(10).stiffness_nm_rad, 0.2);
-        spring.adopt(plan(0.9));
-        let tick = spring.tick(12);
+        let raw = |stiffness| plan(&re35(Law::Raw, SPRING, stiffness));
+        let mut spring = Controller::new(raw(0.5), 0);
+        assert_eq!(tick(&mut spring, 10).stiffness_nm_rad, 0.5);
+        spring.adopt(raw(0.2));
+        assert_eq!(tick(&mut spring, 10).stiffness_nm_rad, 0.2);
+        spring.adopt(raw(0.9));
+        let later = tick(&mut spring, 12);
         assert_eq!(
-            (tick.stiffness_nm_rad, tick.reason),
+            (later.stiffness_nm_rad, later.reason),
             (0.2, Reason::ZeroForce)
         );
-        assert_eq!(spring.tick(0).stiffness_nm_rad, 0.9);
+        assert_eq!(tick(&mut spring, 0).stiffness_nm_rad, 0.9);
         // A spring that is moved is let go until the knob comes by its new centre.
-        let mut moved = re35(Law::Raw, 0.9);
-        moved.zero_rad = 20.0 * moved.count_rad();
-        spring.adopt(Plan::new(&moved).unwrap());
-        let tick = spring.tick(3);
-        assert_eq!((tick.torque_nm, tick.reason), (0.0, Reason::ZeroForce));
-        assert_eq!(spring.tick(20).stiffness_nm_rad, 0.9);
+        let mut moved = re35(Law::Raw, SPRING, 0.9);
+        moved.shape = Shape::Spring {
+            centre_rad: 20.0 * moved.count_rad(),
+        };
+        spring.adopt(plan(&moved));
+        let later = tick(&mut spring, 3);
+        assert_eq!((later.torque_nm, later.reason), (0.0, Reason::ZeroForce));
+        assert_eq!(tick(&mut spring, 20).stiffness_nm_rad, 0.9);
         // So is one that is released.
         spring.release();
-        assert_eq!(spring.tick(25).torque_nm, 0.0);
+        assert_eq!(tick(&mut spring, 25).torque_nm, 0.0);
     }
 
     #[test]
     fn the_torque_limit_holds_and_says_so() {
-        let mut config = re35(Law::Raw, 100.0);
+        let mut config = re35(Law::Raw, SPRING, 100.0);
         config.torque_max_nm = 0.01;
         let mut spring = controller(&config);
-        for count in [5000, -5000_i32 as u32] {
-            let tick = spring.tick(count);
+        for count in [5000, -5000] {
+            let tick = tick(&mut spring, count);
             assert_eq!((tick.torque_nm.abs(), tick.reason), (0.01, Reason::Torque));
         }
+    }
+
+    #[test]
+    fn torques_are_cut_to_whole_steps_and_raw_is_not() {
+        for (law, torque) in [(Law::Raw, -2.5 * COUNT * 0.01), (Law::Static, -1e-5)] {
+            let mut config = re35(law, SPRING, 0.01);
+            config.torque_step_nm = 1e-5;
+            let have = tick(&mut controller(&config), 2).torque_nm;
+            assert!((have - torque).abs() < 1e-9, "{law:?}: {have}");
+        }
+        // Steps finer than a float are none.
+        let mut config = re35(Law::Static, SPRING, 0.01);
+        config.torque_step_nm = 1e-30;
+        assert!((tick(&mut controller(&config), 2).torque_nm + 2.5e-2 * COUNT).abs() < 1e-9);
+    }
+
+    #[test]
+    fn damping_gets_what_the_stiffness_leaves() {
+        let damped = |law, stiffness, counts| {
+            let mut config = re35(law, SPRING, stiffness);
+            config.damping_nm_s_rad = 1.0;
+            config.torque_max_nm = 1e9;
+            let mut spring = controller(&config);
+            let _ = tick(&mut spring, 0);
+            let torque = tick(&mut spring, counts).torque_nm;
+            let speed = counts as f32 * COUNT / PERIOD;
+            -(torque + spring.applied_nm_rad * (counts as f32 + 0.5) * COUNT) / speed
+        };
+        let near = |have: f32, want: f32| (have / want - 1.0).abs() < 1e-3;
+        assert!(near(damped(Law::Raw, 0.01, 5), 1.0));
+        // b − K·T/2, here less than (c − K·Δ/2)·T/Δ.
+        assert!(near(damped(Law::Static, 0.01, 5), 9e-6 - 0.5e-5));
+        assert!(near(damped(Law::Static, 0.0, 5), 9e-6));
+        assert!(damped(Law::Static, 1.0, 5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_ledger_gives_out_no_more_than_was_put_in() {
+        let mut config = re35(Law::Ledger, WALL, 1e6);
+        config.torque_max_nm = 1e9;
+        let mut wall = controller(&config);
+        for count in -20..0 {
+            let free = tick(&mut wall, count);
+            assert_eq!((free.torque_nm, free.law), (0.0, Law::Ledger));
+        }
+        // At first hardly more than friction; then what the knob has put in lets it rise.
+        let first = tick(&mut wall, 1);
+        assert!(-2e-3 < first.torque_nm && first.torque_nm < -1e-3);
+        assert_eq!(first.reason, Reason::Account);
+        let mut last = first;
+        for count in 2..20 {
+            let next = tick(&mut wall, count);
+            assert!(next.torque_nm < last.torque_nm && next.account_j > last.account_j);
+            last = next;
+        }
+        // m/T² = 6.28 Nm/rad is the most.
+        assert!(last.stiffness_nm_rad > 1.0 && last.stiffness_nm_rad <= 6.281);
+        let _ = tick(&mut wall, -1);
+        assert!(tick(&mut wall, -2).account_j <= 0.0);
+    }
+
+    #[test]
+    fn auto_takes_the_cheapest_law_that_does() {
+        let law_at = |stiffness, speed: i32| {
+            let mut wall = controller(&re35(Law::Auto, WALL, stiffness));
+            for n in 0..12 {
+                let _ = tick(&mut wall, -100 + n * speed);
+            }
+            tick(&mut wall, -100 + 12 * speed).law
+        };
+        assert_eq!(law_at(0.017, 8), Law::Static);
+        assert_eq!(law_at(1.0, 1), Law::Episode);
+        assert_eq!(law_at(1.0, 8), Law::Ledger); // 6 rad/s: (11) allows 0.62
+        assert_eq!(law_at(1e3, 1), Law::Ledger);
+        // A spring that is left slowly is handed back where friction holds it.
+        let mut spring = controller(&re35(Law::Auto, SPRING, 1.0));
+        for _ in 0..3 {
+            let _ = tick(&mut spring, 0);
+        }
+        assert_eq!(tick(&mut spring, 0).law, Law::Episode);
+        assert_eq!(tick(&mut spring, 9).law, Law::Ledger);
+        let _ = tick(&mut spring, 8);
+        assert_eq!(tick(&mut spring, 8).law, Law::Ledger); // 6.5 mNm: more than friction
     }
 
     proptest! {
@@ -589,10 +680,10 @@ mod tests {
         fn the_static_law_stays_within_the_limits_in_exact_arithmetic(
             counts in 10.0..20_000.0f64, period_s in 4e-5..2e-2f64,
         ) {
-            let mut config = re35(Law::Static, 1e3);
+            let mut config = re35(Law::Static, SPRING, 1e3);
             config.hardware_count_rad = core::f64::consts::TAU / counts;
-            config.period_s = period_s;
-            let stiffness = f64::from(controller(&config).tick(0).stiffness_nm_rad);
+            config.timing.period_s = period_s;
+            let stiffness = f64::from(tick(&mut controller(&config), 0).stiffness_nm_rad);
             prop_assert!(stiffness * config.count_rad() <= 2.0 * 2e-3);
             prop_assert!(stiffness * period_s <= 2.0 * 9e-6);
         }
@@ -603,19 +694,15 @@ mod tests {
             demands in prop::collection::vec(0.0..20.0f64, 1..4),
             steps in prop::collection::vec(-40i32..40, 1..200), wall in any::<bool>(),
         ) {
-            let plan = |demand| {
-                let mut config = re35(law, demand);
-                config.side = if wall { Side::Above } else { Side::Both };
-                Plan::new(&config).unwrap()
-            };
+            let plan = |demand| plan(&re35(law, if wall { WALL } else { SPRING }, demand));
             let mut controller = Controller::new(plan(demands[0]), 0);
             let mut position = 0_i32;
-            let mut before = controller.tick(0).stiffness_nm_rad;
+            let mut before = tick(&mut controller, 0).stiffness_nm_rad;
             for (i, step) in steps.iter().enumerate() {
                 let demand = demands[i * demands.len() / steps.len()];
                 controller.adopt(plan(demand));
                 position += step;
-                let tick = controller.tick(position as u32);
+                let tick = tick(&mut controller, position);
                 let loaded = if wall { position > 0 } else { !(-1..=0).contains(&position) };
                 prop_assert!(!loaded || tick.stiffness_nm_rad <= before);
                 prop_assert!(tick.stiffness_nm_rad <= demand as f32);
@@ -628,20 +715,73 @@ mod tests {
                 before = tick.stiffness_nm_rad;
             }
         }
+
+        /// Whatever the counts, the period and the plan do: finite torques within their limit.
+        #[test]
+        fn no_counts_lead_to_a_torque_that_is_none(
+            law in prop::sample::select(vec![Law::Ledger, Law::Auto]),
+            steps in prop::collection::vec((prop_oneof![-40..40i32, -40_000..40_000i32, any::<i32>()], 1e-5..1e-2f32), 1..300),
+            demands in prop::collection::vec((-2.0..6.0f64, 0..3usize, 0.0..1.0f64), 1..4),
+            delay in 0.0..1.0f64, lag in 0.0..2.0f64, damping in 0.0..1.0f64, torque_step in 0.0..1e-2f64,
+        ) {
+            let plans: Vec<Plan> = demands.iter().map(|(exponent, shape, centre_rad)| {
+                let shape = [
+                    Shape::Spring { centre_rad: *centre_rad },
+                    Shape::Wall { edge_rad: *centre_rad },
+                    Shape::Detent { centre_rad: *centre_rad, period_rad: 0.1 },
+                ][*shape];
+                let mut config = re35(law, shape, 10.0_f64.powf(*exponent));
+                config.encoder = EncoderConfig::default();
+                config.timing.delay_s = delay * 1e-3;
+                config.timing.amplifier_tau_s = lag * 1e-3;
+                config.damping_nm_s_rad = damping;
+                config.torque_step_nm = torque_step;
+                plan(&config)
+            }).collect();
+            let mut controller = Controller::new(plans[0], 0);
+            let mut count = 0_i32;
+            for (i, (moved, duration_s)) in steps.iter().enumerate() {
+                controller.adopt(plans[i * plans.len() / steps.len()]);
+                count = count.wrapping_add(*moved);
+                let tick = controller.tick(count as u32, *duration_s);
+                prop_assert!(tick.torque_nm.abs() <= 0.5, "{tick:?}");
+                prop_assert!(tick.stiffness_nm_rad >= 0.0 && tick.margin_nm.is_finite(), "{tick:?}");
+                prop_assert!(tick.account_j.is_finite(), "{tick:?}");
+            }
+        }
     }
 
     #[test]
     fn a_configuration_that_no_tick_may_run_with_is_refused() {
         for bad in [-1.0, f64::NAN, f64::INFINITY, 1e300] {
-            assert!(Plan::new(&re35(Law::Static, bad)).is_err(), "{bad}");
-            let mut config = re35(Law::Raw, 1.0);
-            config.torque_max_nm = bad;
-            assert!(Plan::new(&config).is_err(), "{bad}");
+            let edits: [fn(&mut Config, f64); 8] = [
+                |config, bad| config.stiffness_nm_rad = bad,
+                |config, bad| config.torque_max_nm = bad,
+                |config, bad| config.damping_nm_s_rad = bad,
+                |config, bad| config.torque_step_nm = bad,
+                |config, bad| config.timing.period_s = bad,
+                |config, bad| config.timing.jitter_s = bad,
+                |config, bad| config.timing.delay_s = bad,
+                |config, bad| config.timing.amplifier_tau_s = bad,
+            ];
+            for edit in edits {
+                for law in [Law::Static, Law::Ledger] {
+                    let mut config = re35(law, SPRING, 1.0);
+                    edit(&mut config, bad);
+                    assert!(Plan::new(&config).is_err(), "{config:?}");
+                }
+            }
         }
-        let mut config = re35(Law::Raw, 1.0);
+        let mut config = re35(Law::Raw, SPRING, 1.0);
         config.hardware_count_rad = 1e-60; // above zero, but not in f32
         assert!(Plan::new(&config).is_err());
-        let mut config = re35(Law::Raw, 1.0);
+        let mut config = re35(Law::Ledger, SPRING, 1.0);
+        config.timing.delay_s = 1.1e-3;
+        assert_eq!(
+            Plan::new(&config).unwrap_err().to_string(),
+            "delay is 0.0011 s; accepted by this law: up to 0.001 s, the shortest interval between ticks"
+        );
+        let mut config = re35(Law::Raw, SPRING, 1.0);
         config.believed.coulomb_nm = Interval {
             low: 2e-3,
             high: 1e-3,
