@@ -14,6 +14,10 @@ use crate::{CommandReceiver, Link, LinkStatus, RecordSender};
 
 /// What the desk tells the tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "two of them lie in the queue, some 200 bytes each; without an allocator nothing is boxed"
+)]
 pub enum Command {
     /// Take this plan. Refused while armed if it changes the period, the encoder or the count.
     Configure(Settled),

@@ -8,11 +8,14 @@ use std::f64::consts::TAU;
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail};
+use control::config::{Believed, Config, Interval, Law, Timing};
 use control::criterion::Device;
 use control::encoder::EncoderConfig;
-use control::spring::Side;
-use control::tick::{Believed, Config, Interval, Law};
+use control::shape::Shape;
+use plant_sim::clock::Clock;
 use plant_sim::closed_loop::Scene;
+use plant_sim::drive::Drive;
+use plant_sim::hand::Hand;
 use plant_sim::hold::State;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -209,18 +212,18 @@ pub fn parse(text: &str) -> Result<Scene> {
     let sampled = sampled_device(&file.device, &file.sampling)?;
     let render = &file.render;
     not_negative("render.stiffness_nm_rad", render.stiffness_nm_rad)?;
-    let (side, zero_key, zero) = match render.shape {
+    let (wall, zero_key, zero) = match render.shape {
         ShapeName::Spring => {
             if render.wall_rad.is_some() {
                 bail!("render.wall_rad is given, but shape = \"spring\" reads centre_rad");
             }
-            (Side::Both, "render.centre_rad", render.centre_rad)
+            (false, "render.centre_rad", render.centre_rad)
         }
         ShapeName::Wall => {
             if render.centre_rad.is_some() {
                 bail!("render.centre_rad is given, but shape = \"wall\" reads wall_rad");
             }
-            (Side::Above, "render.wall_rad", render.wall_rad)
+            (true, "render.wall_rad", render.wall_rad)
         }
     };
     let zero_rad = zero.unwrap_or(0.0);
@@ -260,13 +263,28 @@ pub fn parse(text: &str) -> Result<Scene> {
     }
     let scene = Scene {
         device: sampled.device,
+        drive: Drive::default(),
+        clock: Clock {
+            period_s: sampled.period_s,
+            jitter_s: 0.0,
+            missed_ticks: 0.0,
+        },
+        hand: Hand::default(),
+        seed: 0,
         config: Config {
             believed,
-            period_s: sampled.period_s,
+            timing: Timing::ideal(sampled.period_s),
+            torque_step_nm: 0.0,
+            damping_nm_s_rad: 0.0,
             hardware_count_rad: sampled.hardware_count_rad,
             encoder: EncoderConfig::new(32, sampled.decimation)?,
-            side,
-            zero_rad,
+            shape: if wall {
+                Shape::Wall { edge_rad: zero_rad }
+            } else {
+                Shape::Spring {
+                    centre_rad: zero_rad,
+                }
+            },
             stiffness_nm_rad: render.stiffness_nm_rad,
             law: match render.law {
                 LawName::Raw => Law::Raw,

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 
 use anyhow::Result;
 use control::criterion::{Criterion, Dimensionless, Region, Sampling};
-use control::spring::Side;
+use control::shape::Shape;
 use plant_sim::closed_loop::{Report, Scene};
 use plant_sim::outcome::Class;
 use plotters::element::DashedPathElement;
@@ -102,7 +102,7 @@ pub struct RunChart<'a> {
     /// The speed that the start can turn into, counts per sample.
     speed: f64,
     zero_rad: f64,
-    side: Side,
+    wall: bool,
     count_rad: f64,
     envelope: &'a Envelope,
 }
@@ -112,7 +112,7 @@ impl<'a> RunChart<'a> {
         let config = &scene.config;
         let count_rad = config.count_rad();
         let sampling = Sampling {
-            period_s: config.period_s,
+            period_s: config.timing.period_s,
             count_rad,
         };
         let criterion = Criterion::new(scene.device, sampling)?;
@@ -140,15 +140,15 @@ impl<'a> RunChart<'a> {
                 "{name}: K = {} Nm/rad, {} counts/rev, T = {} ms, from {} rad/s",
                 short(report.max_stiffness_nm_rad),
                 short(std::f64::consts::TAU / count_rad),
-                short(config.period_s * 1e3),
+                short(config.timing.period_s * 1e3),
                 short(scene.start.velocity)
             ),
             verdict: format!("region {region}; (10) {holds} at the start; outcome: {class}"),
             class: report.class,
             point,
-            speed: speed_rad_s * config.period_s / count_rad,
-            zero_rad: config.zero_rad,
-            side: config.side,
+            speed: speed_rad_s * config.timing.period_s / count_rad,
+            zero_rad: config.shape.zero_rad(),
+            wall: matches!(config.shape, Shape::Wall { .. }),
             count_rad,
             envelope,
         })
@@ -215,7 +215,7 @@ impl<'a> RunChart<'a> {
                 name: None,
             },
         ];
-        if self.side == Side::Above {
+        if self.wall {
             levels.push(Level {
                 angle_rad: zero,
                 colour: ORANGE,

@@ -105,7 +105,7 @@ fn draw() -> Result<Vec<(String, String)>> {
         let mut envelope = Envelope::new();
         let report = scene.run(|sample| {
             envelope.enter(
-                sample.number as f64 * scene.config.period_s,
+                sample.number as f64 * scene.config.timing.period_s,
                 sample.state.position,
             );
             !stop::requested()

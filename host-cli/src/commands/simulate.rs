@@ -230,7 +230,7 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
     let mut envelope = Envelope::new();
     let mut trouble = None;
     let report = scene.run(|sample| {
-        let time_s = sample.number as f64 * scene.config.period_s;
+        let time_s = sample.number as f64 * scene.config.timing.period_s;
         let State { position, velocity } = sample.state;
         let tick = &sample.tick;
         if plot.is_some() {
@@ -253,7 +253,7 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
     stop::check()?;
     if let Some(plot) = &mut plot {
         envelope.enter(
-            report.samples as f64 * scene.config.period_s,
+            report.samples as f64 * scene.config.timing.period_s,
             report.end.position,
         );
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -278,7 +278,7 @@ fn prepare(flag: &str, path: Option<&Path>, force: bool) -> Result<Option<Output
 
 fn criterion(scene: &Scene) -> Result<Criterion<f64>> {
     let sampling = Sampling {
-        period_s: scene.config.period_s,
+        period_s: scene.config.timing.period_s,
         count_rad: scene.config.count_rad(),
     };
     Ok(Criterion::new(scene.device, sampling)?)
@@ -326,7 +326,7 @@ fn describe(scene: &Scene, report: &Report) -> Result<String> {
         digits(report.max_stiffness_nm_rad, 4),
         report.min_margin_nm,
         report.samples,
-        digits(report.samples as f64 * config.period_s, 6),
+        digits(report.samples as f64 * config.timing.period_s, 6),
         report.end.position,
         report.end.velocity,
         report.class,
