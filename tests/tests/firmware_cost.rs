@@ -137,11 +137,8 @@ impl Image {
                 continue;
             }
             let second = half(at + 2);
-            if first >> 11 == 0b11110
-                && second >> 14 & 3 == 0b11 | (second >> 14 & 1) << 1 & 2
-                && second & 0x9000 == 0x9000
-                || first >> 11 == 0b11110 && second & 0xD000 == 0xD000
-            {
+            // B.W is a call too, where it is the last thing that a function does.
+            if first >> 11 == 0b11110 && second & 0x9000 == 0x9000 {
                 let s = first >> 10 & 1;
                 let (j1, j2) = (second >> 13 & 1, second >> 11 & 1);
                 let (i1, i2) = (1 ^ j1 ^ s, 1 ^ j2 ^ s);
