@@ -67,7 +67,7 @@ impl Twin {
 
     /// One tick while the desk is busy with something else, such as a slow line.
     pub fn tick_alone(&mut self, counter: u32, late: bool) -> f32 {
-        let output = self.ticker.tick(counter, late);
+        let output = self.ticker.tick(counter, self.period_s, late);
         if let Some(period_s) = output.period_s {
             self.period_s = period_s;
         }

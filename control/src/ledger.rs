@@ -121,12 +121,14 @@ impl Ledger {
         self.nominal_nm = self.held_nm;
     }
 
-    /// Steps 1 to 3 for the tick entered last; `nominal_nm` is the profile's torque now.
+    /// Steps 1 to 3 for the tick entered last, if there was one (`seen`); `nominal_nm` is the
+    /// profile's torque now.
     #[inline]
     pub fn account(
         &mut self,
         plan: &LedgerPlan,
         tuning: &Tuning,
+        seen: bool,
         moved: i32,
         duration_s: f32,
         nominal_nm: f32,
@@ -134,7 +136,9 @@ impl Ledger {
         let mechanics = &plan.mechanics;
         let held = self.held_nm;
         // 1. Intervals, at the time when the torque of this tick will act.
-        self.motion.follow(mechanics, tuning);
+        if seen {
+            self.motion.follow(mechanics, tuning);
+        }
         let (mut position, mut velocity) = (self.motion.position(), self.motion.velocity());
         if plan.delay_s > 0.0 {
             let acceleration = self.motion.acceleration();

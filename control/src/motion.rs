@@ -4,9 +4,10 @@
 //! in (N ∓ 1)·Δ/W. The velocity now is that mean plus the acceleration, each tick's weighted
 //! with the share wᵢ of the window that has passed in its middle:
 //!
-//! v ∈ ⋂ over j ≤ J of [ (N ∓ 1)·Δ/W + Σᵢ aᵢ·dtᵢ·wᵢ ], aᵢ ∈ hull{0, (F ± (c + b|v|))/m} ± a_hand.
+//! v ∈ ⋂ over j = 1, 2, 4 … J of [ (N ∓ 1)·Δ/W + Σᵢ aᵢ·dtᵢ·wᵢ ], aᵢ ∈ hull{0, (F ± (c + b|v|))/m} ± a_hand.
 //!
-//! Every j is an implication, so the intersection is sound. The 0 in the hull covers
+//! Every j is an implication, so the intersection is sound; those between the powers of two
+//! add nothing that could be measured. The 0 in the hull covers
 //! any inertia that a hand adds to the knob and nobody told; a_hand, what else a hand does.
 //!
 //! *Position.* x ∈ (x₋₁ + v·dt − ½·a·dt²) ∩ the cell of the count.
@@ -47,21 +48,19 @@ impl Span {
 /// One tick of the past.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Past {
-    /// Counts moved.
-    moved: f32,
+    /// How far the counts moved, rad.
+    moved_rad: f32,
     /// Its length, s.
     duration_s: f32,
     /// The change of velocity in it, rad/s.
     gained: Span,
 }
 
-const NOTHING: Past = Past {
-    moved: 0.0,
+/// A tick that nobody saw: it may have changed the velocity by anything.
+const UNSEEN: Past = Past {
+    moved_rad: 0.0,
     duration_s: 1.0,
-    gained: Span {
-        low: 0.0,
-        high: 0.0,
-    },
+    gained: UNKNOWN_VELOCITY,
 };
 
 /// Faster than any knob, rad/s; its square is finite.
@@ -73,11 +72,10 @@ pub(crate) const UNKNOWN_VELOCITY: Span = Span {
 /// What the counts say of the motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
-    past: [Past; TICKS_BACK],
-    /// Where the last tick lies in `past`.
+    /// A ring, written twice over, so that the last ticks always lie in a row.
+    past: [Past; 2 * TICKS_BACK],
+    /// Where the last tick lies in its first half.
     last: usize,
-    /// How many ticks are known.
-    known: usize,
     /// a_hand, rad/s².
     hand_rad_s2: f32,
     /// The position relative to the middle of the count's cell, rad.
@@ -96,9 +94,8 @@ impl Motion {
     pub fn unknown(mechanics: &Mechanics) -> Self {
         let half = mechanics.half_count_rad;
         Self {
-            past: [NOTHING; TICKS_BACK],
+            past: [UNSEEN; 2 * TICKS_BACK],
             last: 0,
-            known: 0,
             hand_rad_s2: 0.0,
             position: Span {
                 low: -half,
@@ -178,18 +175,17 @@ impl Motion {
             low: if slowing < 0.0 { slowing } else { 0.0 } - self.hand_rad_s2,
             high: if speeding > 0.0 { speeding } else { 0.0 } + self.hand_rad_s2,
         };
-        self.last = (self.last + 1) % TICKS_BACK;
-        self.past[self.last] = Past {
-            moved,
+        let past = Past {
+            moved_rad: moved * mechanics.count_rad,
             duration_s,
             gained: Span {
                 low: self.acceleration.low * duration_s,
                 high: self.acceleration.high * duration_s,
             },
         };
-        if self.known < TICKS_BACK {
-            self.known += 1;
-        }
+        self.last = (self.last + 1) % TICKS_BACK;
+        self.past[self.last] = past;
+        self.past[self.last + TICKS_BACK] = past;
     }
 
     /// The intervals after the tick entered last.
@@ -209,7 +205,7 @@ impl Motion {
         }
         let half = mechanics.half_count_rad;
         let dt = newest.duration_s;
-        let shift = newest.moved * mechanics.count_rad;
+        let shift = newest.moved_rad;
         let mut low =
             self.position.low - shift + (self.velocity.low - 0.5 * newest.gained.high) * dt;
         let mut high =
@@ -250,52 +246,49 @@ impl Motion {
     /// Sets the velocity interval; returns by how much it would be empty, rad/s.
     #[inline]
     fn find_velocity(&mut self, mechanics: &Mechanics, tuning: &Tuning) -> f32 {
-        let Span { mut low, mut high } = UNKNOWN_VELOCITY;
-        let mut newest = UNKNOWN_VELOCITY;
-        let mut moved = 0.0;
+        let newest = self.last % TICKS_BACK + TICKS_BACK;
         let mut window_s = 0.0;
-        let (mut gained_low, mut gained_high) = (0.0, 0.0);
-        // Σ aᵢ·dtᵢ·(time from the middle of tick i to now).
-        let (mut late_low, mut late_high) = (0.0, 0.0);
-        let mut index = self.last;
+        let mut gained = Span {
+            low: 0.0,
+            high: 0.0,
+        };
+        // N·Δ ∓ Δ − Σ aᵢ·dtᵢ·(time from the middle of tick i to now).
+        let mut way = Span {
+            low: -mechanics.count_rad,
+            high: mechanics.count_rad,
+        };
+        let mut all = UNKNOWN_VELOCITY;
+        let mut last_tick = UNKNOWN_VELOCITY;
         for j in 0..TICKS_BACK {
-            if j >= self.known || j >= tuning.ticks_back {
-                break;
-            }
-            let past = &self.past[index % TICKS_BACK];
-            index = index.wrapping_sub(1);
-            moved += past.moved;
+            let past = &self.past[newest - j];
             let age = window_s + 0.5 * past.duration_s;
             window_s += past.duration_s;
-            gained_low += past.gained.low;
-            gained_high += past.gained.high;
-            late_low += past.gained.low * age;
-            late_high += past.gained.high * age;
+            gained.low += past.gained.low;
+            gained.high += past.gained.high;
+            way.low += past.moved_rad - past.gained.low * age;
+            way.high += past.moved_rad - past.gained.high * age;
+            if !(j + 1).is_power_of_two() || j >= tuning.ticks_back {
+                continue;
+            }
             let rate = 1.0 / window_s;
-            let slow = ((moved - 1.0) * mechanics.count_rad - late_low) * rate + gained_low;
-            let fast = ((moved + 1.0) * mechanics.count_rad - late_high) * rate + gained_high;
+            let span = Span {
+                low: gained.low + way.low * rate,
+                high: gained.high + way.high * rate,
+            };
             if j == 0 {
-                newest = Span {
-                    low: slow,
-                    high: fast,
-                };
+                last_tick = span;
+                all = span;
+                continue;
             }
-            if slow > low {
-                low = slow;
+            if span.low > all.low {
+                all.low = span.low;
             }
-            if fast < high {
-                high = fast;
+            if span.high < all.high {
+                all.high = span.high;
             }
         }
-        let gap = low - high;
-        if self.known == 0 {
-            return gap; // as it was told
-        }
-        self.velocity = if gap > 0.0 {
-            newest
-        } else {
-            Span { low, high }
-        };
+        let gap = all.low - all.high;
+        self.velocity = if gap > 0.0 { last_tick } else { all };
         gap
     }
 }

@@ -307,6 +307,7 @@ impl Controller {
         self.ledger.account(
             &plan.ledger,
             &plan.tuning(),
+            step.seen,
             step.moved,
             step.duration_s,
             plan.ledger.stiffness * reading.pull_rad,

@@ -24,6 +24,11 @@ pub trait TickClock {
     /// limits of [`crate::settings::HIGHEST`] and [`crate::settings::LOWEST`].
     fn set_period_s(&mut self, period_s: f32);
 
+    /// The time from the previous tick to this one, s; called once in a tick, before
+    /// [`Self::set_period_s`]. Finite and above 0, in the first tick too. A board without a clock that
+    /// measures it returns the period that was in force.
+    fn elapsed_s(&mut self) -> f32;
+
     /// Acknowledges the tick's interrupt, and says whether another was due before this one
     /// was served.
     fn acknowledge(&mut self) -> bool;

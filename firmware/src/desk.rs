@@ -3,6 +3,7 @@
 
 use core::sync::atomic::Ordering::Relaxed;
 
+use control::config::Law;
 use control::tick::Reason;
 use protocol::{
     Changes, ClampReason, Event, FRAME_MAX, Fields, Frames, FromDevice, Hello, Message, Name,
@@ -279,6 +280,8 @@ impl<'a> Desk<'a> {
                     reason: wanted
                         .has(Fields::REASON)
                         .then_some(clamp_reason(tick.reason)),
+                    law: wanted.has(Fields::LAW).then_some(law(tick.law)),
+                    account_j: wanted.has(Fields::ACCOUNT).then_some(tick.account_j),
                 })
             }
         };
@@ -307,13 +310,29 @@ fn fault(fault: Fault) -> protocol::Fault {
     }
 }
 
-fn clamp_reason(reason: Reason) -> ClampReason {
+/// A reason as it goes over the wire.
+#[must_use]
+pub fn clamp_reason(reason: Reason) -> ClampReason {
     match reason {
         Reason::None => ClampReason::None,
-        Reason::Viscous | Reason::Inertia => ClampReason::Viscous,
-        Reason::Coulomb | Reason::Coarse => ClampReason::Coulomb,
-        Reason::Speed | Reason::Account | Reason::Hand => ClampReason::Speed,
+        Reason::Viscous => ClampReason::Viscous,
+        Reason::Coulomb => ClampReason::Coulomb,
+        Reason::Speed => ClampReason::Speed,
         Reason::ZeroForce => ClampReason::ZeroForce,
         Reason::Torque => ClampReason::Torque,
+        Reason::Inertia => ClampReason::Inertia,
+        Reason::Coarse => ClampReason::Coarse,
+        Reason::Account => ClampReason::Account,
+        Reason::Hand => ClampReason::Hand,
+    }
+}
+
+fn law(law: Law) -> protocol::Law {
+    match law {
+        Law::Raw => protocol::Law::Raw,
+        Law::Static => protocol::Law::Static,
+        Law::Episode => protocol::Law::Episode,
+        Law::Ledger => protocol::Law::Ledger,
+        Law::Auto => protocol::Law::Auto,
     }
 }

@@ -120,7 +120,9 @@ mod app {
     fn tick(cx: tick::Context) {
         let start = board::stopwatch();
         let overran = cx.local.clock.acknowledge();
-        let output = cx.local.ticker.tick(cx.local.encoder.counter(), overran);
+        let elapsed_s = cx.local.clock.elapsed_s();
+        let counter = cx.local.encoder.counter();
+        let output = cx.local.ticker.tick(counter, elapsed_s, overran);
         cx.local.torque.set_nm(output.torque_nm);
         if let Some(period_s) = output.period_s {
             cx.local.clock.set_period_s(period_s);

@@ -19,13 +19,19 @@ pub const LOWEST: Parameters = Parameters {
     law: protocol::Law::Raw,
     shape: Shape::Spring,
     stiffness_nm_rad: 0.0,
+    damping_nm_s_rad: 0.0,
     centre_rad: -1e3,
     wall_rad: -1e3,
+    period_rad: 1e-3,
     torque_max_nm: 0.0,
     speed_max_rad_s: 1.0,
     inertia_kg_m2: between(1e-8, 1e-8),
     viscous_nm_s_rad: between(0.0, 0.0),
     coulomb_nm: between(0.0, 0.0),
+    delay_s: 0.0,
+    amplifier_tau_s: 0.0,
+    jitter_s: 0.0,
+    torque_step_nm: 0.0,
 };
 
 /// The most that each numeric parameter may be.
@@ -33,34 +39,46 @@ pub const HIGHEST: Parameters = Parameters {
     sample_period_s: 20e-3,
     decimation: 4096,
     counts_per_rev: 1_000_000,
-    law: protocol::Law::Episode,
-    shape: Shape::Wall,
+    law: protocol::Law::Auto,
+    shape: Shape::Detent,
     stiffness_nm_rad: 1e4,
+    damping_nm_s_rad: 1.0,
     centre_rad: 1e3,
     wall_rad: 1e3,
+    period_rad: 100.0,
     torque_max_nm: 10.0,
     speed_max_rad_s: 1e4,
     inertia_kg_m2: between(1e-1, 1e-1),
     viscous_nm_s_rad: between(1.0, 1.0),
     coulomb_nm: between(10.0, 10.0),
+    delay_s: 20e-3,
+    amplifier_tau_s: 20e-3,
+    jitter_s: 10e-3,
+    torque_step_nm: 1.0,
 };
 
-/// What a device starts with: the paper's RE35 at 1 ms, no stiffness, and a law that is
-/// passive at every speed.
+/// What a device starts with: the paper's RE35 at 1 ms, no stiffness, and the law that takes no
+/// more trouble than the demand needs.
 pub const DEFAULTS: Parameters = Parameters {
     sample_period_s: 1e-3,
     decimation: 1,
     counts_per_rev: 8192,
-    law: protocol::Law::Static,
+    law: protocol::Law::Auto,
     shape: Shape::Spring,
     stiffness_nm_rad: 0.0,
+    damping_nm_s_rad: 0.0,
     centre_rad: 0.0,
     wall_rad: 0.0,
+    period_rad: 0.2,
     torque_max_nm: 0.5,
     speed_max_rad_s: 1000.0,
     inertia_kg_m2: between(6.28e-6, 6.28e-6),
     viscous_nm_s_rad: between(9e-6, 9e-6),
     coulomb_nm: between(2e-3, 2e-3),
+    delay_s: 0.0,
+    amplifier_tau_s: 0.0,
+    jitter_s: 0.0,
+    torque_step_nm: 0.0,
 };
 
 const fn between(low: f32, high: f32) -> protocol::Interval {
@@ -75,23 +93,83 @@ const fn between(low: f32, high: f32) -> protocol::Interval {
 pub fn settle(parameters: &Parameters, counter_bits: u32) -> Result<Settled, Refusal> {
     let config = config(parameters, counter_bits)?;
     let plan = Plan::new(&config).map_err(|error| together(parameters, error))?;
+    let longest = 1.0 + parameters.jitter_s / parameters.sample_period_s;
+    let furthest = parameters.speed_max_rad_s / plan.count_speed_rad_s() * longest;
     Ok(Settled {
         // One count more than the way at top speed: a move may begin and end anywhere in a cell.
-        furthest_counts: (parameters.speed_max_rad_s / plan.count_speed_rad_s()) as u32 + 1,
+        furthest_counts: furthest as u32 + 1,
         plan,
     })
 }
 
-/// Values that are each accepted, but not together: names the one that shows it.
+/// Values that are each accepted, but not together: names the one that shows it, with what
+/// would be accepted beside the others.
 fn together(parameters: &Parameters, error: ConfigError) -> Refusal {
-    let name = match (error, parameters.shape) {
-        (ConfigError::OutOfCounts { .. }, Shape::Spring) => Name::CentreRad,
-        (ConfigError::OutOfCounts { .. }, Shape::Wall) => Name::WallRad,
-        (ConfigError::CounterBits(_) | ConfigError::Decimation(_), _) => Name::Decimation,
-        _ => Name::SamplePeriodS,
+    let p = parameters;
+    let (name, lowest, highest) = match error {
+        ConfigError::OutOfCounts { limit, .. } => {
+            let name = match p.shape {
+                Shape::Wall => Name::WallRad,
+                Shape::Spring | Shape::Detent => Name::CentreRad,
+            };
+            // The limit itself is out.
+            let limit = (limit as f32).next_down();
+            (name, -limit, limit)
+        }
+        ConfigError::Period { least, most, .. } => {
+            (Name::PeriodRad, -at_most(-least), at_most(most))
+        }
+        ConfigError::Delay { limit, .. } => (Name::DelayS, LOWEST.delay_s, at_most(limit)),
+        ConfigError::CounterBits(_) | ConfigError::Decimation(_) => (
+            Name::Decimation,
+            LOWEST.decimation as f32,
+            HIGHEST.decimation as f32,
+        ),
+        _ if p.jitter_s >= p.sample_period_s => (
+            Name::JitterS,
+            LOWEST.jitter_s,
+            p.sample_period_s.next_down(),
+        ),
+        _ => (
+            Name::SamplePeriodS,
+            LOWEST.sample_period_s,
+            HIGHEST.sample_period_s,
+        ),
     };
-    Refusal::Together { name }
+    Refusal::Together {
+        name,
+        lowest,
+        highest,
+    }
 }
+
+/// The largest `f32` that is not above `limit`.
+fn at_most(limit: f64) -> f32 {
+    let near = limit as f32;
+    if f64::from(near) > limit {
+        near.next_down()
+    } else {
+        near
+    }
+}
+
+/// One number of the parameters.
+type Number = fn(&Parameters) -> f32;
+
+const NUMBERS: [(Name, Number); 12] = [
+    (Name::SamplePeriodS, |p| p.sample_period_s),
+    (Name::StiffnessNmRad, |p| p.stiffness_nm_rad),
+    (Name::DampingNmSRad, |p| p.damping_nm_s_rad),
+    (Name::CentreRad, |p| p.centre_rad),
+    (Name::WallRad, |p| p.wall_rad),
+    (Name::PeriodRad, |p| p.period_rad),
+    (Name::TorqueMaxNm, |p| p.torque_max_nm),
+    (Name::SpeedMaxRadS, |p| p.speed_max_rad_s),
+    (Name::DelayS, |p| p.delay_s),
+    (Name::AmplifierTauS, |p| p.amplifier_tau_s),
+    (Name::JitterS, |p| p.jitter_s),
+    (Name::TorqueStepNm, |p| p.torque_step_nm),
+];
 
 /// Checks parameters, and says them in the controller's words.
 ///
@@ -99,40 +177,8 @@ fn together(parameters: &Parameters, error: ConfigError) -> Refusal {
 /// The first value that is not accepted, with what would be.
 pub fn config(parameters: &Parameters, counter_bits: u32) -> Result<Config, Refusal> {
     let p = parameters;
-    for (name, given, lowest, highest) in [
-        (
-            Name::SamplePeriodS,
-            p.sample_period_s,
-            LOWEST.sample_period_s,
-            HIGHEST.sample_period_s,
-        ),
-        (
-            Name::StiffnessNmRad,
-            p.stiffness_nm_rad,
-            LOWEST.stiffness_nm_rad,
-            HIGHEST.stiffness_nm_rad,
-        ),
-        (
-            Name::CentreRad,
-            p.centre_rad,
-            LOWEST.centre_rad,
-            HIGHEST.centre_rad,
-        ),
-        (Name::WallRad, p.wall_rad, LOWEST.wall_rad, HIGHEST.wall_rad),
-        (
-            Name::TorqueMaxNm,
-            p.torque_max_nm,
-            LOWEST.torque_max_nm,
-            HIGHEST.torque_max_nm,
-        ),
-        (
-            Name::SpeedMaxRadS,
-            p.speed_max_rad_s,
-            LOWEST.speed_max_rad_s,
-            HIGHEST.speed_max_rad_s,
-        ),
-    ] {
-        number(name, given, lowest, highest)?;
+    for (name, of) in NUMBERS {
+        number(name, of(p), of(&LOWEST), of(&HIGHEST))?;
     }
     whole(
         Name::Decimation,
@@ -166,28 +212,40 @@ pub fn config(parameters: &Parameters, counter_bits: u32) -> Result<Config, Refu
             HIGHEST.coulomb_nm,
         )?,
     };
-    let shape = match p.shape {
-        Shape::Spring => control::shape::Shape::Spring {
-            centre_rad: f64::from(p.centre_rad),
-        },
-        Shape::Wall => control::shape::Shape::Wall {
-            edge_rad: f64::from(p.wall_rad),
-        },
-    };
     Ok(Config {
         believed,
-        timing: Timing::ideal(f64::from(p.sample_period_s)),
-        torque_step_nm: 0.0,
+        timing: Timing {
+            period_s: f64::from(p.sample_period_s),
+            jitter_s: f64::from(p.jitter_s),
+            // A tick that is missed puts torque to zero.
+            may_miss: false,
+            delay_s: f64::from(p.delay_s),
+            amplifier_tau_s: f64::from(p.amplifier_tau_s),
+        },
+        torque_step_nm: f64::from(p.torque_step_nm),
         hardware_count_rad: TAU / f64::from(p.counts_per_rev),
         encoder: EncoderConfig::new(counter_bits, p.decimation)
             .map_err(|error| together(p, error))?,
-        shape,
+        shape: match p.shape {
+            Shape::Spring => control::shape::Shape::Spring {
+                centre_rad: f64::from(p.centre_rad),
+            },
+            Shape::Wall => control::shape::Shape::Wall {
+                edge_rad: f64::from(p.wall_rad),
+            },
+            Shape::Detent => control::shape::Shape::Detent {
+                centre_rad: f64::from(p.centre_rad),
+                period_rad: f64::from(p.period_rad),
+            },
+        },
         stiffness_nm_rad: f64::from(p.stiffness_nm_rad),
-        damping_nm_s_rad: 0.0,
+        damping_nm_s_rad: f64::from(p.damping_nm_s_rad),
         law: match p.law {
             protocol::Law::Raw => Law::Raw,
             protocol::Law::Static => Law::Static,
             protocol::Law::Episode => Law::Episode,
+            protocol::Law::Ledger => Law::Ledger,
+            protocol::Law::Auto => Law::Auto,
         },
         torque_max_nm: f64::from(p.torque_max_nm),
     })

@@ -14,8 +14,12 @@ use crate::{CommandReceiver, Link, LinkStatus, RecordSender};
 
 /// What the desk tells the tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "two of them lie in the queue, some 200 bytes each; without an allocator nothing is boxed"
+)]
 pub enum Command {
-    /// Take this plan. Refused while armed if it changes the period or the encoder.
+    /// Take this plan. Refused while armed if it changes the period, the encoder or the count.
     Configure(Settled),
     /// Render; refused in fault.
     Arm,
@@ -147,17 +151,17 @@ impl<'a> Ticker<'a> {
         }
     }
 
-    /// One tick. `overran`: another was due before this one was served.
+    /// One tick, `elapsed_s` after the last one (s, finite, above 0). `overran`: another was due
+    /// before this one was served.
     #[inline]
-    pub fn tick(&mut self, counter: u32, overran: bool) -> Output {
+    pub fn tick(&mut self, counter: u32, elapsed_s: f32, overran: bool) -> Output {
         let number = self.link.tick.load(Relaxed).wrapping_add(1);
         self.link.tick.store(number, Relaxed);
         let mut period_s = None;
         if self.commands.ready() {
             period_s = self.obey();
         }
-        let period_now_s = self.controller.plan().period_s();
-        let tick = self.controller.tick(counter, period_now_s);
+        let tick = self.controller.tick(counter, elapsed_s);
         let mut torque_nm = 0.0;
         if self.status.state == StateCode::Armed {
             match fault_in(&tick, self.furthest_counts, overran) {
@@ -180,9 +184,10 @@ impl<'a> Ticker<'a> {
         let mut period_s = None;
         let done = match (command, self.status.state) {
             (Command::Configure(settled), state) => {
-                let (old, new) = (*self.controller.plan(), settled.plan);
-                let same_encoder = old.encoder() == new.encoder();
-                let same_sampling = same_encoder
+                let (old, new) = (self.controller.plan(), settled.plan);
+                // With the same period, Δ/T is the same where Δ is. Believed jitter, delay and
+                // lag are the plan's alone.
+                let same_sampling = old.encoder() == new.encoder()
                     && old.period_s() == new.period_s()
                     && old.count_speed_rad_s() == new.count_speed_rad_s();
                 if same_sampling {
@@ -286,6 +291,7 @@ fn fault_in(tick: &Tick, furthest_counts: u32, overran: bool) -> Option<Fault> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use control::config::Law;
 
     #[test]
     fn every_fault_is_seen() {
@@ -296,7 +302,7 @@ mod tests {
             stiffness_nm_rad: 1.0,
             margin_nm: 0.0,
             account_j: 0.0,
-            law: control::config::Law::Raw,
+            law: Law::Ledger,
             reason: Reason::None,
         };
         assert_eq!(fault_in(&good, 7, false), None);

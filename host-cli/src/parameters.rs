@@ -83,28 +83,21 @@ impl Value {
         match name {
             Name::SamplePeriodS
             | Name::StiffnessNmRad
+            | Name::DampingNmSRad
             | Name::CentreRad
             | Name::WallRad
+            | Name::PeriodRad
             | Name::TorqueMaxNm
-            | Name::SpeedMaxRadS => single(text).map(Self::Number),
+            | Name::SpeedMaxRadS
+            | Name::DelayS
+            | Name::AmplifierTauS
+            | Name::JitterS
+            | Name::TorqueStepNm => single(text).map(Self::Number),
             Name::Decimation | Name::CountsPerRev => text.parse().map(Self::Whole).map_err(|_| {
                 format!("`{text}` is not a whole number; accepted: one from 0 to 4294967295")
             }),
-            Name::Law => match text {
-                "raw" => Ok(Self::Law(Law::Raw)),
-                "static" => Ok(Self::Law(Law::Static)),
-                "episode" => Ok(Self::Law(Law::Episode)),
-                _ => Err(format!(
-                    "there is no law `{text}`; accepted: raw, static, episode"
-                )),
-            },
-            Name::Shape => match text {
-                "spring" => Ok(Self::Shape(Shape::Spring)),
-                "wall" => Ok(Self::Shape(Shape::Wall)),
-                _ => Err(format!(
-                    "there is no shape `{text}`; accepted: spring, wall"
-                )),
-            },
+            Name::Law => one_of("law", &LAWS, law, text).map(Self::Law),
+            Name::Shape => one_of("shape", &SHAPES, shape, text).map(Self::Shape),
             Name::InertiaKgM2 | Name::ViscousNmSRad | Name::CoulombNm => {
                 let (low, high) = text.split_once("..").unwrap_or((text, text));
                 Ok(Self::Interval(Interval {
@@ -120,8 +113,10 @@ impl Value {
         match (name, self) {
             (Name::SamplePeriodS, Self::Number(it)) => changes.sample_period_s = Some(it),
             (Name::StiffnessNmRad, Self::Number(it)) => changes.stiffness_nm_rad = Some(it),
+            (Name::DampingNmSRad, Self::Number(it)) => changes.damping_nm_s_rad = Some(it),
             (Name::CentreRad, Self::Number(it)) => changes.centre_rad = Some(it),
             (Name::WallRad, Self::Number(it)) => changes.wall_rad = Some(it),
+            (Name::PeriodRad, Self::Number(it)) => changes.period_rad = Some(it),
             (Name::TorqueMaxNm, Self::Number(it)) => changes.torque_max_nm = Some(it),
             (Name::SpeedMaxRadS, Self::Number(it)) => changes.speed_max_rad_s = Some(it),
             (Name::Decimation, Self::Whole(it)) => changes.decimation = Some(it),
@@ -131,6 +126,10 @@ impl Value {
             (Name::InertiaKgM2, Self::Interval(it)) => changes.inertia_kg_m2 = Some(it),
             (Name::ViscousNmSRad, Self::Interval(it)) => changes.viscous_nm_s_rad = Some(it),
             (Name::CoulombNm, Self::Interval(it)) => changes.coulomb_nm = Some(it),
+            (Name::DelayS, Self::Number(it)) => changes.delay_s = Some(it),
+            (Name::AmplifierTauS, Self::Number(it)) => changes.amplifier_tau_s = Some(it),
+            (Name::JitterS, Self::Number(it)) => changes.jitter_s = Some(it),
+            (Name::TorqueStepNm, Self::Number(it)) => changes.torque_step_nm = Some(it),
             _ => {}
         }
     }
@@ -145,13 +144,19 @@ pub fn value(all: &Parameters, name: Name) -> Value {
         Name::Law => Value::Law(all.law),
         Name::Shape => Value::Shape(all.shape),
         Name::StiffnessNmRad => Value::Number(all.stiffness_nm_rad),
+        Name::DampingNmSRad => Value::Number(all.damping_nm_s_rad),
         Name::CentreRad => Value::Number(all.centre_rad),
         Name::WallRad => Value::Number(all.wall_rad),
+        Name::PeriodRad => Value::Number(all.period_rad),
         Name::TorqueMaxNm => Value::Number(all.torque_max_nm),
         Name::SpeedMaxRadS => Value::Number(all.speed_max_rad_s),
         Name::InertiaKgM2 => Value::Interval(all.inertia_kg_m2),
         Name::ViscousNmSRad => Value::Interval(all.viscous_nm_s_rad),
         Name::CoulombNm => Value::Interval(all.coulomb_nm),
+        Name::DelayS => Value::Number(all.delay_s),
+        Name::AmplifierTauS => Value::Number(all.amplifier_tau_s),
+        Name::JitterS => Value::Number(all.jitter_s),
+        Name::TorqueStepNm => Value::Number(all.torque_step_nm),
     }
 }
 
@@ -179,19 +184,46 @@ pub fn short(number: f32) -> String {
     }
 }
 
-fn law(law: Law) -> &'static str {
+const LAWS: [Law; 5] = [Law::Raw, Law::Static, Law::Episode, Law::Ledger, Law::Auto];
+
+/// A law in a word.
+pub fn law(law: Law) -> &'static str {
     match law {
         Law::Raw => "raw",
         Law::Static => "static",
         Law::Episode => "episode",
+        Law::Ledger => "ledger",
+        Law::Auto => "auto",
     }
 }
+
+const SHAPES: [Shape; 3] = [Shape::Spring, Shape::Wall, Shape::Detent];
 
 fn shape(shape: Shape) -> &'static str {
     match shape {
         Shape::Spring => "spring",
         Shape::Wall => "wall",
+        Shape::Detent => "detent",
     }
+}
+
+/// The one that is called so.
+fn one_of<T: Copy>(
+    kind: &str,
+    all: &[T],
+    word: impl Fn(T) -> &'static str,
+    text: &str,
+) -> Result<T, String> {
+    all.iter()
+        .copied()
+        .find(|one| word(*one) == text)
+        .ok_or_else(|| {
+            let words: Vec<&str> = all.iter().map(|one| word(*one)).collect();
+            format!(
+                "there is no {kind} `{text}`; accepted: {}",
+                words.join(", ")
+            )
+        })
 }
 
 impl fmt::Display for Value {
@@ -246,11 +278,13 @@ mod tests {
         sample_period_s: 1e-3,
         decimation: 3,
         counts_per_rev: 8192,
-        law: Law::Episode,
-        shape: Shape::Wall,
+        law: Law::Auto,
+        shape: Shape::Detent,
         stiffness_nm_rad: 12.5,
+        damping_nm_s_rad: 2.5e-5,
         centre_rad: -0.1,
         wall_rad: 1e-7,
+        period_rad: 0.2,
         torque_max_nm: 0.0,
         speed_max_rad_s: 1e9,
         inertia_kg_m2: Interval {
@@ -265,6 +299,10 @@ mod tests {
             low: 1.8e-3,
             high: 2.2e-3,
         },
+        delay_s: 1e-4,
+        amplifier_tau_s: 2e-4,
+        jitter_s: 3e-5,
+        torque_step_nm: 4e-4,
     };
 
     const OTHER: Parameters = Parameters {
@@ -274,8 +312,10 @@ mod tests {
         law: Law::Raw,
         shape: Shape::Spring,
         stiffness_nm_rad: 3.0,
+        damping_nm_s_rad: 9.0,
         centre_rad: 4.0,
         wall_rad: 5.0,
+        period_rad: 10.0,
         torque_max_nm: 6.0,
         speed_max_rad_s: 8.0,
         inertia_kg_m2: Interval {
@@ -290,6 +330,10 @@ mod tests {
             low: 1.0,
             high: 2.0,
         },
+        delay_s: 11.0,
+        amplifier_tau_s: 12.0,
+        jitter_s: 13.0,
+        torque_step_nm: 14.0,
     };
 
     #[test]
@@ -308,7 +352,7 @@ mod tests {
         let json = serde_json::to_string(&Named { all: &SOME, names }).unwrap();
         assert_eq!(
             json,
-            r#"{"sample_period_s":0.001,"law":"episode","coulomb_nm":[0.0018,0.0022]}"#
+            r#"{"sample_period_s":0.001,"law":"auto","coulomb_nm":[0.0018,0.0022]}"#
         );
     }
 
@@ -316,7 +360,7 @@ mod tests {
     fn what_is_no_value_is_refused_with_what_would_be() {
         for (text, part) in [
             ("stiffness_nm_rad", "NAME=VALUE"),
-            ("stiffness=1", "stiffness_nm_rad, centre_rad"),
+            ("stiffness=1", "stiffness_nm_rad, damping_nm_s_rad"),
             ("stiffness_nm_rad=", "not a number"),
             ("stiffness_nm_rad=stiff", "not a number"),
             ("stiffness_nm_rad=NaN", "finite"),
@@ -325,8 +369,8 @@ mod tests {
             ("stiffness_nm_rad=1e-60", "32-bit"),
             ("decimation=1.5", "whole"),
             ("decimation=-1", "whole"),
-            ("law=paper", "raw, static, episode"),
-            ("shape=detent", "spring, wall"),
+            ("law=paper", "raw, static, episode, ledger, auto"),
+            ("shape=notch", "spring, wall, detent"),
             ("coulomb_nm=1..", "not a number"),
             ("coulomb_nm=1e-3..nan", "finite"),
             ("coulomb_nm=1e-3..2e-3..3e-3", "not a number"),

@@ -2,6 +2,9 @@
 
 use control::config::Law;
 use control::tick::Reason;
+use firmware::desk::clamp_reason;
+
+use crate::words;
 
 /// A law, as scene files name it.
 pub fn law(law: Law) -> &'static str {
@@ -16,32 +19,10 @@ pub fn law(law: Law) -> &'static str {
 
 /// Why less is applied than demanded, in a word, as scripts see it.
 pub fn code(reason: Reason) -> &'static str {
-    match reason {
-        Reason::None => "none",
-        Reason::Viscous => "viscous",
-        Reason::Coulomb => "coulomb",
-        Reason::Speed => "speed",
-        Reason::ZeroForce => "zero-force",
-        Reason::Torque => "torque",
-        Reason::Inertia => "inertia",
-        Reason::Coarse => "coarse",
-        Reason::Account => "account",
-        Reason::Hand => "hand",
-    }
+    words::clamp_code(clamp_reason(reason))
 }
 
 /// Why less is applied than demanded, in words.
 pub fn words(reason: Reason) -> &'static str {
-    match reason {
-        Reason::None => "the whole demand is applied",
-        Reason::Viscous => "sampled too slowly for this viscous friction: 2b/Te",
-        Reason::Coulomb => "encoder too coarse for this Coulomb friction: 2c/Δ",
-        Reason::Speed => "too fast in this contact: 2(b|ẋ| + c)/(Te|ẋ| + Δ)",
-        Reason::ZeroForce => "may rise only at zero force, and waits for it",
-        Reason::Torque => "the torque limit",
-        Reason::Inertia => "sampled too slowly for this inertia: m/Te²",
-        Reason::Coarse => "encoder too coarse: 3c/Δ",
-        Reason::Account => "the energy account covers no more",
-        Reason::Hand => "a hand moves the knob as no believed force can",
-    }
+    words::clamp(clamp_reason(reason))
 }

@@ -1,6 +1,6 @@
 //! What a device says, in words.
 
-use protocol::{ClampReason, Fault, Parameters, Refusal, State};
+use protocol::{ClampReason, Fault, Name, Parameters, Refusal, State};
 
 use crate::parameters::{short, value};
 
@@ -50,18 +50,26 @@ pub fn clamp_code(reason: ClampReason) -> &'static str {
         ClampReason::Speed => "speed",
         ClampReason::ZeroForce => "zero-force",
         ClampReason::Torque => "torque",
+        ClampReason::Inertia => "inertia",
+        ClampReason::Coarse => "coarse",
+        ClampReason::Account => "account",
+        ClampReason::Hand => "hand",
     }
 }
 
 /// Why the stiffness is clamped, in words.
 pub fn clamp(reason: ClampReason) -> &'static str {
     match reason {
-        ClampReason::None => "not clamped",
-        ClampReason::Viscous => "sampled too slowly for this viscous friction: 2b/T",
+        ClampReason::None => "the whole demand is applied",
+        ClampReason::Viscous => "sampled too slowly for this viscous friction: 2b/Te",
         ClampReason::Coulomb => "encoder too coarse for this Coulomb friction: 2c/Δ",
-        ClampReason::Speed => "too fast in this contact",
+        ClampReason::Speed => "too fast in this contact: 2(b|ẋ| + c)/(Te|ẋ| + Δ)",
         ClampReason::ZeroForce => "may rise only at zero force, and waits for it",
         ClampReason::Torque => "the torque limit",
+        ClampReason::Inertia => "sampled too slowly for this inertia: m/Te²",
+        ClampReason::Coarse => "encoder too coarse: 3c/Δ",
+        ClampReason::Account => "the energy account covers no more",
+        ClampReason::Hand => "a hand moves the knob as no believed force can: more is allowed for",
     }
 }
 
@@ -89,11 +97,18 @@ pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> S
             short(low),
             short(high)
         ),
-        Refusal::Together { name } => {
+        Refusal::Together {
+            name,
+            lowest,
+            highest,
+        } => {
             let given = wanted.map_or_else(String::new, |all| format!("={}", value(all, name)));
             format!(
-                "{}{given}: does not go together with the other parameters; accepted: an angle within 2^30 counts of zero, and a period, a decimation and counts_per_rev that fit the board's counter",
-                name.as_str()
+                "{}{given}: does not go together with {}; accepted beside that: {} to {}",
+                name.as_str(),
+                others(name),
+                short(lowest),
+                short(highest)
             )
         }
         Refusal::Armed { name } => format!(
@@ -107,10 +122,19 @@ pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> S
     }
 }
 
+/// What a parameter must go together with.
+fn others(name: Name) -> &'static str {
+    match name {
+        Name::DelayS => "law, sample_period_s and jitter_s",
+        Name::JitterS => "sample_period_s",
+        Name::CentreRad | Name::WallRad | Name::PeriodRad => "counts_per_rev and decimation",
+        _ => "the other parameters",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::Name;
 
     #[test]
     fn every_refusal_names_what_is_wrong_and_what_would_be_accepted() {
@@ -135,8 +159,20 @@ mod tests {
                 &["coulomb_nm: 2..0.5", "LOW ≤ HIGH"],
             ),
             (
-                Refusal::Together { name },
-                &["centre_rad", "accepted: an angle within 2^30 counts"],
+                Refusal::Together {
+                    name,
+                    lowest: -5.5,
+                    highest: 5.5,
+                },
+                &["centre_rad", "counts_per_rev", "-5.5 to 5.5"],
+            ),
+            (
+                Refusal::Together {
+                    name: Name::DelayS,
+                    lowest: 0.0,
+                    highest: 1e-3,
+                },
+                &["delay_s", "law, sample_period_s", "0 to 0.001"],
             ),
             (Refusal::Armed { name }, &["centre_rad", "knob disarm"]),
             (

@@ -130,13 +130,13 @@ fn get_shows_all_parameters_or_the_named_ones() {
     let all = ask(&port, &["get"]);
     assert_eq!(all.as_object().unwrap().len(), protocol::Name::ALL.len());
     assert_eq!(all["sample_period_s"], 0.001);
-    assert_eq!(all["law"], "static");
+    assert_eq!(all["law"], "auto");
     assert_eq!(all["inertia_kg_m2"], json!([6.28e-6, 6.28e-6]));
     let some = ask(&port, &["get", "law", "decimation", "law"]);
-    assert_eq!(some, json!({"law": "static", "decimation": 1}));
+    assert_eq!(some, json!({"law": "auto", "decimation": 1}));
     assert_eq!(
         read(&port, &["get", "law", "coulomb_nm", "stiffness_nm_rad"]),
-        "law=static\ncoulomb_nm=0.002\nstiffness_nm_rad=0\n"
+        "law=auto\ncoulomb_nm=0.002\nstiffness_nm_rad=0\n"
     );
     refused(
         &port,
@@ -157,7 +157,13 @@ fn set_changes_what_it_is_given_and_says_from_when() {
             "law=episode",
             "shape=wall",
             "stiffness_nm_rad=0.75",
+            "damping_nm_s_rad=2e-5",
             "wall_rad=-0.25",
+            "period_rad=0.25",
+            "delay_s=1e-4",
+            "amplifier_tau_s=2e-4",
+            "jitter_s=3e-5",
+            "torque_step_nm=1e-3",
             "coulomb_nm=1.8e-3..2.2e-3",
             "viscous_nm_s_rad=1e-5",
             "decimation=4",
@@ -168,12 +174,22 @@ fn set_changes_what_it_is_given_and_says_from_when() {
     let wanted = json!({
         "law": "episode", "shape": "wall", "stiffness_nm_rad": 0.75, "wall_rad": -0.25,
         "coulomb_nm": [1.8e-3, 2.2e-3], "viscous_nm_s_rad": [1e-5, 1e-5], "decimation": 4,
-        "sample_period_s": 2e-3, "torque_max_nm": 0.5,
+        "sample_period_s": 2e-3, "torque_max_nm": 0.5, "damping_nm_s_rad": 2e-5, "period_rad": 0.25,
+        "delay_s": 1e-4, "amplifier_tau_s": 2e-4, "jitter_s": 3e-5, "torque_step_nm": 1e-3,
     });
     let now = ask(&port, &["get"]);
     for (name, value) in wanted.as_object().unwrap() {
         assert_eq!(&now[name], value, "{name}");
         assert_eq!(&set[name], value, "{name}");
+    }
+    for (name, words) in [
+        ("law", &["raw", "static", "ledger", "auto"][..]),
+        ("shape", &["spring", "detent"]),
+    ] {
+        for word in words {
+            let set = ask(&port, &["set", &format!("{name}={word}")]);
+            assert_eq!(set[name], *word);
+        }
     }
     let text = read(&port, &["set", "torque_max_nm=0.125"]);
     assert!(
@@ -199,8 +215,11 @@ fn bad_values_are_refused_before_anything_is_sent() {
         ),
         (&["stiffness_nm_rad=inf"], &["finite"]),
         (&["stiffness_nm_rad=1e300"], &["32-bit"]),
-        (&["law=ledger"], &["law", "raw, static, episode"]),
-        (&["shape=detent"], &["shape", "spring, wall"]),
+        (
+            &["law=lore"],
+            &["law", "raw, static, episode, ledger, auto"],
+        ),
+        (&["shape=notch"], &["shape", "spring, wall, detent"]),
         (&["decimation=2.5"], &["decimation", "whole number"]),
         (&["coulomb_nm=1e-3..x"], &["coulomb_nm", "`x`"]),
         (&["stiffnes=1"], &["`stiffnes`", "stiffness_nm_rad"]),
@@ -237,6 +256,21 @@ fn what_the_device_refuses_is_told_with_what_it_accepts_and_changes_nothing() {
                 "torque_max_nm=-1",
             ],
             &["torque_max_nm: -1", "0 to 10"],
+        ),
+        (&["damping_nm_s_rad=2"], &["damping_nm_s_rad: 2", "0 to 1"]),
+        (&["delay_s=-1e-4"], &["delay_s: -0.0001", "0 to 0.02"]),
+        // Each accepted, but not together.
+        (
+            &["delay_s=2e-3"],
+            &["delay_s=0.002", "sample_period_s", "0 to 0.001"],
+        ),
+        (
+            &["shape=detent", "period_rad=1e-3"],
+            &["period_rad=0.001", "counts_per_rev", "0.00153"],
+        ),
+        (
+            &["jitter_s=2e-3"],
+            &["jitter_s=0.002", "sample_period_s", "0 to 0.000999"],
         ),
         // A good value beside a bad one.
         (
@@ -311,7 +345,7 @@ fn rows(path: &Path) -> Vec<Vec<String>> {
     let mut lines = text.lines();
     assert_eq!(
         lines.next().unwrap(),
-        "tick,state,count,torque_nm,stiffness_nm_rad,demanded_nm_rad,margin_nm,reason"
+        "tick,state,count,torque_nm,stiffness_nm_rad,demanded_nm_rad,margin_nm,reason,law,account_j"
     );
     lines
         .map(|line| line.split(',').map(str::to_owned).collect())
@@ -331,7 +365,7 @@ fn log_writes_every_tick_or_every_nth() {
     let out = folder.path().join("log.csv");
     let out_flag = out.to_str().unwrap();
     let (port, hand) = board();
-    // Far more than 2c/Δ: it is clamped.
+    // Far more than m/T²: it is clamped.
     ask(&port, &["set", "stiffness_nm_rad=100", "torque_max_nm=10"]);
     ask(&port, &["arm"]);
     hand.speed.store(1, Relaxed);
@@ -354,12 +388,15 @@ fn log_writes_every_tick_or_every_nth() {
         assert_eq!(number(&pair[1][2]), number(&pair[0][2]) + 1.0);
     }
     for row in &all {
-        assert_eq!(row.len(), 8);
+        assert_eq!(row.len(), 10);
         assert_eq!((row[1].as_str(), row[5].as_str()), ("armed", "100"));
         assert!(number(&row[4]) < 100.0 && number(&row[3]) < 0.0);
         assert!(number(&row[6]).is_finite());
         assert_ne!(row[7], "none");
+        assert_eq!(row[8], "ledger", "auto, with more than the others could do");
+        assert!(number(&row[9]) >= 0.0);
     }
+    assert_eq!(log["laws"], json!({"ledger": 200}));
     let reasons = log["reasons"].as_object().unwrap();
     let counted: u64 = reasons.values().map(|rows| rows.as_u64().unwrap()).sum();
     assert_eq!(counted, 200);

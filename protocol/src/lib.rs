@@ -20,4 +20,4 @@ pub use message::{
 pub use parameters::{Changes, Interval, Law, Name, Parameters, Shape};
 
 /// The version of the protocol; the first message of a host names its own.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;

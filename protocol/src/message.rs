@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use crate::parameters::{Changes, Name, Parameters};
+use crate::parameters::{Changes, Law, Name, Parameters};
 
 /// A frame from the host.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -24,7 +24,7 @@ pub enum Request {
     Get,
     /// All or none. Answer: [`Message::Done`] once a tick has taken it, or a refusal.
     Set(Changes),
-    /// Render from now on, as soon as the knob passes zero force.
+    /// Render from now on, as soon as the knob passes zero force or has put energy in.
     Arm,
     /// No torque from now on.
     Disarm,
@@ -66,8 +66,12 @@ impl Fields {
     pub const MARGIN: Self = Self(16);
     /// Why the stiffness is clamped.
     pub const REASON: Self = Self(32);
+    /// The law in force.
+    pub const LAW: Self = Self(64);
+    /// The energy in the ledger's account.
+    pub const ACCOUNT: Self = Self(128);
     /// All of them.
-    pub const ALL: Self = Self(63);
+    pub const ALL: Self = Self(255);
 
     /// True if every bit of `other` is set.
     #[must_use]
@@ -192,10 +196,14 @@ pub enum Refusal {
         /// The upper end given.
         high: f32,
     },
-    /// The values do not go together.
+    /// The values are each accepted, but not together.
     Together {
         /// The parameter that shows it.
         name: Name,
+        /// The least that it may be beside the others.
+        lowest: f32,
+        /// The most.
+        highest: f32,
     },
     /// May only be changed while disarmed.
     Armed {
@@ -219,7 +227,7 @@ pub struct Telemetry {
     pub count: Option<i32>,
     /// Torque, Nm.
     pub torque_nm: Option<f32>,
-    /// Stiffness applied, Nm/rad.
+    /// Stiffness applied, Nm/rad; under the ledger, torque over deflection.
     pub stiffness_nm_rad: Option<f32>,
     /// Stiffness demanded, Nm/rad.
     pub demanded_nm_rad: Option<f32>,
@@ -227,6 +235,10 @@ pub struct Telemetry {
     pub margin_nm: Option<f32>,
     /// Why less is applied than demanded.
     pub reason: Option<ClampReason>,
+    /// The law in force; under auto one of static, episode, ledger.
+    pub law: Option<Law>,
+    /// The energy in the ledger's account, J; 0 under the other laws.
+    pub account_j: Option<f32>,
 }
 
 /// Why less is applied than demanded.
@@ -234,7 +246,7 @@ pub struct Telemetry {
 pub enum ClampReason {
     /// It is not.
     None,
-    /// Sampled too slowly for this viscous friction: 2b/T.
+    /// Sampled too slowly for this viscous friction: 2b/Te.
     Viscous,
     /// Encoder too coarse for this Coulomb friction: 2c/Δ.
     Coulomb,
@@ -244,6 +256,14 @@ pub enum ClampReason {
     ZeroForce,
     /// The torque limit.
     Torque,
+    /// Sampled too slowly for this inertia, under the ledger: m/Te².
+    Inertia,
+    /// Encoder too coarse for this Coulomb friction, under the ledger: 3c/Δ.
+    Coarse,
+    /// The account covers no more.
+    Account,
+    /// A hand moved the knob as no believed force can; more is allowed for.
+    Hand,
 }
 
 /// Something happened.

@@ -9,7 +9,7 @@ pub struct Interval {
     pub high: f32,
 }
 
-/// What decides the stiffness that is applied.
+/// What decides the torque that is applied.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Law {
     /// The demanded stiffness, whatever it does.
@@ -18,6 +18,10 @@ pub enum Law {
     Static,
     /// What is passive at the worst speed of this contact.
     Episode,
+    /// What an account of measured energy pays for.
+    Ledger,
+    /// The cheapest of static, episode and ledger that applies the whole demand, or the ledger.
+    Auto,
 }
 
 /// What is rendered.
@@ -27,6 +31,8 @@ pub enum Shape {
     Spring,
     /// A wall at `wall_rad`, felt above it.
     Wall,
+    /// Minima `period_rad` apart, one of them at `centre_rad`.
+    Detent,
 }
 
 /// Declares the parameters once: the set that a device holds, the changes that a message
@@ -83,16 +89,20 @@ parameters! {
     decimation / Decimation: u32,
     /// Hardware counts per revolution of the encoder. Only while disarmed.
     counts_per_rev / CountsPerRev: u32,
-    /// The law that decides how much stiffness is applied.
+    /// The law that decides how much of the demand is applied.
     law / Law: Law,
     /// What is rendered.
     shape / Shape: Shape,
     /// The demanded stiffness K, Nm/rad.
     stiffness_nm_rad / StiffnessNmRad: f32,
-    /// The centre of the spring, rad.
+    /// The demanded virtual damping B, Nm s/rad.
+    damping_nm_s_rad / DampingNmSRad: f32,
+    /// The centre of the spring, or a minimum of the detents, rad.
     centre_rad / CentreRad: f32,
     /// The edge of the wall, rad.
     wall_rad / WallRad: f32,
+    /// From one minimum of the detents to the next, rad; two counts or more.
+    period_rad / PeriodRad: f32,
     /// The largest torque commanded, Nm.
     torque_max_nm / TorqueMaxNm: f32,
     /// The fastest that the knob can turn, rad/s; a count that moved further is a fault.
@@ -103,4 +113,12 @@ parameters! {
     viscous_nm_s_rad / ViscousNmSRad: Interval,
     /// The Coulomb friction c as it is believed to be, Nm.
     coulomb_nm / CoulombNm: Interval,
+    /// The delay from the encoder's reading to the torque's change as it is believed to be, s.
+    delay_s / DelayS: f32,
+    /// The time constant of the amplifier as it is believed to be, s.
+    amplifier_tau_s / AmplifierTauS: f32,
+    /// By how much the sample period is believed to vary, either way, s.
+    jitter_s / JitterS: f32,
+    /// The step of the torque's DAC as it is believed to be, Nm; 0: none.
+    torque_step_nm / TorqueStepNm: f32,
 }

@@ -17,8 +17,10 @@ const PARAMETERS: Parameters = Parameters {
     law: Law::Static,
     shape: Shape::Spring,
     stiffness_nm_rad: 0.015,
+    damping_nm_s_rad: 1e-5,
     centre_rad: 0.0,
     wall_rad: 0.25,
+    period_rad: 0.2,
     torque_max_nm: 0.5,
     speed_max_rad_s: 1000.0,
     inertia_kg_m2: Interval {
@@ -33,6 +35,10 @@ const PARAMETERS: Parameters = Parameters {
         low: 1.8e-3,
         high: 2.2e-3,
     },
+    delay_s: 1e-4,
+    amplifier_tau_s: 2e-4,
+    jitter_s: 5e-5,
+    torque_step_nm: 1e-3,
 };
 
 fn requests() -> Vec<(&'static str, Request)> {
@@ -44,6 +50,15 @@ fn requests() -> Vec<(&'static str, Request)> {
             Request::Set(Changes {
                 stiffness_nm_rad: Some(1.0),
                 law: Some(Law::Raw),
+                ..Changes::default()
+            }),
+        ),
+        (
+            "set law=auto shape=detent period_rad=0.5",
+            Request::Set(Changes {
+                law: Some(Law::Auto),
+                shape: Some(Shape::Detent),
+                period_rad: Some(0.5),
                 ..Changes::default()
             }),
         ),
@@ -77,6 +92,14 @@ fn messages() -> Vec<(&'static str, Message<'static>)> {
             }),
         ),
         (
+            "refused, together",
+            Message::Refused(Refusal::Together {
+                name: Name::DelayS,
+                lowest: 0.0,
+                highest: 1e-3,
+            }),
+        ),
+        (
             "status, fault",
             Message::Status(Status {
                 tick: 300,
@@ -95,7 +118,9 @@ fn messages() -> Vec<(&'static str, Message<'static>)> {
                 stiffness_nm_rad: Some(0.018),
                 demanded_nm_rad: Some(1.0),
                 margin_nm: Some(0.001),
-                reason: Some(ClampReason::Viscous),
+                reason: Some(ClampReason::Account),
+                law: Some(Law::Ledger),
+                account_j: Some(2e-5),
             }),
         ),
         (
@@ -240,16 +265,22 @@ fn the_longest_of_every_message_fits_a_frame() {
         sample_period_s: Some(1.0),
         decimation: Some(u32::MAX),
         counts_per_rev: Some(u32::MAX),
-        law: Some(Law::Episode),
-        shape: Some(Shape::Wall),
+        law: Some(Law::Auto),
+        shape: Some(Shape::Detent),
         stiffness_nm_rad: Some(1.0),
+        damping_nm_s_rad: Some(1.0),
         centre_rad: Some(1.0),
         wall_rad: Some(1.0),
+        period_rad: Some(1.0),
         torque_max_nm: Some(1.0),
         speed_max_rad_s: Some(1.0),
         inertia_kg_m2: Some(interval),
         viscous_nm_s_rad: Some(interval),
         coulomb_nm: Some(interval),
+        delay_s: Some(1.0),
+        amplifier_tau_s: Some(1.0),
+        jitter_s: Some(1.0),
+        torque_step_nm: Some(1.0),
     };
     assert!(to_device(Request::Set(changes)).len() <= FRAME_MAX);
     let hello = Message::Hello(Hello {
@@ -270,7 +301,7 @@ fn the_longest_of_every_message_fits_a_frame() {
 proptest! {
     #[test]
     fn garbage_is_never_a_message_and_the_next_frame_always_is(
-        garbage in prop::collection::vec(any::<u8>(), 0..2000), which in 0usize..9,
+        garbage in prop::collection::vec(any::<u8>(), 0..2000), which in 0..requests().len(),
     ) {
         let (_, request) = requests()[which];
         let mut bytes = garbage;
@@ -287,7 +318,7 @@ proptest! {
     }
 
     #[test]
-    fn a_damaged_frame_is_refused(which in 0usize..9, bit in 0usize..400, cut in 0usize..50) {
+    fn a_damaged_frame_is_refused(which in 0..requests().len(), bit in 0usize..400, cut in 0usize..50) {
         let (_, request) = requests()[which];
         let frame = to_device(request);
         let mut wrong = frame.clone();

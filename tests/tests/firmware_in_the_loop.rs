@@ -3,9 +3,14 @@
 //! [`Rig`] compares every torque and every serial byte of the two, so every test here is also
 //! one of bit equality.
 
+use std::collections::BTreeSet;
+
 use acceptance::{Rig, request_frame};
 use control::criterion::Device;
+use plant_sim::clock::Clock;
 use plant_sim::closed_loop::Scene;
+use plant_sim::drive::Drive;
+use plant_sim::hand::Hand;
 use plant_sim::hold::State as Motion;
 use plant_sim::lockstep::{LockstepError, Order, Plant};
 use plant_sim::outcome::Class;
@@ -60,11 +65,54 @@ impl Random {
     }
 }
 
-/// Springs, walls, laws, stiffnesses, centres, periods and decimations that change at random
-/// times over serial, while a hand throws and pushes the knob.
-fn busy_run(seed: u64, ticks: u64) -> u64 {
+const LAWS: [Law; 5] = [Law::Raw, Law::Static, Law::Episode, Law::Ledger, Law::Auto];
+const SHAPES: [Shape; 3] = [Shape::Spring, Shape::Wall, Shape::Detent];
+
+/// What was seen of the controller in a run.
+#[derive(Default)]
+struct Seen {
+    hash: u64,
+    laws: BTreeSet<String>,
+    reasons: BTreeSet<String>,
+    /// Sets that were taken while torque was given, without letting go of the knob.
+    in_contact: u32,
+}
+
+/// A change of law, shape, demand or what is believed, as it may come at any time.
+fn any_change(random: &mut Random) -> Changes {
+    let mut changes = law(
+        LAWS[random.below(5) as usize],
+        (random.share() * 2.0).exp() as f32,
+    );
+    changes.shape = Some(SHAPES[random.below(3) as usize]);
+    changes.damping_nm_s_rad = Some([0.0, 1e-5, 1e-3][random.below(3) as usize]);
+    if random.below(3) == 0 {
+        changes.centre_rad = Some(random.share() as f32 * 0.1);
+        changes.wall_rad = Some(random.share() as f32 * 0.1);
+        changes.period_rad = Some(0.3 + 0.2 * random.share() as f32);
+    }
+    if random.below(4) == 0 {
+        changes.coulomb_nm = Some(Interval {
+            low: 1e-3 * (1.0 + random.share() as f32),
+            high: 3e-3,
+        });
+    }
+    if random.below(4) == 0 {
+        // Together less than the shortest period below.
+        changes.delay_s = Some([0.0, 5e-5][random.below(2) as usize]);
+        changes.jitter_s = Some([0.0, 5e-5][random.below(2) as usize]);
+        changes.amplifier_tau_s = Some([0.0, 2e-4][random.below(2) as usize]);
+        changes.torque_step_nm = Some([0.0, 1e-3][random.below(2) as usize]);
+    }
+    changes
+}
+
+/// Shapes, laws, stiffnesses, damping, centres, periods, decimations and what is believed, which
+/// change at random times over serial, while a hand throws and pushes the knob.
+fn busy_run(seed: u64, ticks: u64) -> Seen {
     let mut rig = rig(8192.0);
     let mut random = Random(seed);
+    let mut seen = Seen::default();
     rig.must(Request::Subscribe(Subscription {
         every_ticks: 7,
         fields: Fields::ALL,
@@ -72,21 +120,7 @@ fn busy_run(seed: u64, ticks: u64) -> u64 {
     }));
     rig.must(Request::Arm);
     while rig.ticks < ticks {
-        let mut changes = law(
-            [Law::Raw, Law::Static, Law::Episode][random.below(3) as usize],
-            (random.share() * 2.0).exp() as f32,
-        );
-        changes.shape = Some([Shape::Spring, Shape::Wall][random.below(2) as usize]);
-        if random.below(3) == 0 {
-            changes.centre_rad = Some(random.share() as f32 * 0.1);
-            changes.wall_rad = Some(random.share() as f32 * 0.1);
-        }
-        if random.below(4) == 0 {
-            changes.coulomb_nm = Some(Interval {
-                low: 1e-3 * (1.0 + random.share() as f32),
-                high: 3e-3,
-            });
-        }
+        let mut changes = any_change(&mut random);
         if random.below(6) == 0 {
             rig.must(Request::Disarm);
             changes.sample_period_s = Some(1e-3 * (random.share() * 2.0).exp() as f32);
@@ -99,12 +133,16 @@ fn busy_run(seed: u64, ticks: u64) -> u64 {
         rig.bench.plant.hold_at(random.share() * 0.02);
         rig.bench.plant.push(random.share() * 0.01);
         rig.bench.plant.let_go(random.share() * 20.0);
-        for _ in 0..random.below(600) {
-            rig.tick();
-            // A raw spring that runs away is caught again.
-            if rig.bench.plant.state().velocity.abs() > 200.0 {
-                rig.bench.plant.hold_at(0.0);
+        for _ in 0..1 + random.below(4) {
+            for _ in 0..random.below(200) {
+                rig.tick();
+                // A raw spring that runs away is caught again.
+                if rig.bench.plant.state().velocity.abs() > 200.0 {
+                    rig.bench.plant.hold_at(0.0);
+                }
             }
+            seen.in_contact += u32::from(rig.bench.emulator.report().torque_nm != 0.0);
+            rig.must(Request::Set(any_change(&mut random)));
         }
         let fault = rig.ask(Request::Status, |message| match message {
             Message::Status(status) => matches!(status.state, State::Fault(_)),
@@ -114,16 +152,37 @@ fn busy_run(seed: u64, ticks: u64) -> u64 {
             rig.must(Request::Clear);
             rig.must(Request::Arm);
         }
-        rig.take_messages();
+        for message in rig.take_messages() {
+            message.read(|_, message| {
+                if let Message::Telemetry(telemetry) = message {
+                    seen.laws.insert(format!("{:?}", telemetry.law));
+                    seen.reasons.insert(format!("{:?}", telemetry.reason));
+                }
+            });
+        }
     }
-    rig.hash()
+    seen.hash = rig.hash();
+    seen
 }
 
 #[test]
 fn the_chip_gives_the_torque_of_its_native_twin_to_the_last_bit_and_twice_the_same() {
     let first = busy_run(0x5eed, 110_000);
-    assert_eq!(first, busy_run(0x5eed, 110_000), "two runs differ");
-    assert_ne!(first, busy_run(0xbeef, 5_000));
+    assert_eq!(
+        first.hash,
+        busy_run(0x5eed, 110_000).hash,
+        "two runs differ"
+    );
+    assert_ne!(first.hash, busy_run(0xbeef, 5_000).hash);
+    println!("{:?}, {:?}", first.laws, first.reasons);
+    // Auto is never itself in force.
+    assert_eq!(first.laws.len(), 4);
+    assert_eq!(first.reasons.len(), 10, "every reason comes up");
+    assert!(
+        first.in_contact > 100,
+        "{} changes in contact",
+        first.in_contact
+    );
 }
 
 #[test]
@@ -146,7 +205,15 @@ fn figure_6_holds_in_the_firmware_set_up_over_serial_alone() {
         let parameters = firmware::settings::DEFAULTS.with(&changes);
         let scene = Scene {
             device: re35(),
+            drive: Drive::default(),
+            clock: Clock {
+                period_s: f64::from(parameters.sample_period_s),
+                jitter_s: 0.0,
+                missed_ticks: 0.0,
+            },
+            hand: Hand::default(),
             config: firmware::settings::config(&parameters, 32).unwrap(),
+            seed: 0,
             start: Motion {
                 position: 0.0,
                 velocity,
@@ -205,6 +272,24 @@ fn the_static_law_tames_what_the_raw_one_lets_grow() {
             }
             other => panic!("{other:?}"),
         });
+    }
+}
+
+#[test]
+fn the_ledger_holds_two_hundred_times_the_static_stiffness_and_rests() {
+    for (which, stiffness) in [(Law::Ledger, 4.0), (Law::Auto, 4.0), (Law::Auto, 0.01)] {
+        let mut rig = rig(8192.0);
+        throw(&mut rig, law(which, stiffness), 7.0);
+        let mut fastest = 0.0_f64;
+        for _ in 0..4000 {
+            rig.tick();
+            fastest = fastest.max(rig.bench.plant.state().velocity.abs());
+        }
+        assert_eq!(rig.bench.plant.state().velocity, 0.0);
+        assert!(
+            fastest <= 7.0,
+            "it was thrown at 7 rad/s and reached {fastest}"
+        );
     }
 }
 
@@ -386,7 +471,9 @@ fn serial_torture() {
     let before = parameters(&mut rig);
     // No request here changes anything, whole or in pieces.
     let requests = [
-        Request::Hello { version: 1 },
+        Request::Hello {
+            version: protocol::VERSION,
+        },
         Request::Hello { version: 9 },
         Request::Get,
         Request::Set(Changes {

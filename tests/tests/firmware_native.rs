@@ -4,7 +4,7 @@ use acceptance::{Answer, Twin, answers, request_frame};
 use firmware::settings::{DEFAULTS, HIGHEST, LOWEST, settle};
 use proptest::prelude::*;
 use protocol::{
-    Changes, Event, Fields, Frames, Interval, Law, Message, Refusal, Request, Shape, State,
+    Changes, Event, Fields, Frames, Interval, Law, Message, Name, Refusal, Request, Shape, State,
     Subscription,
 };
 
@@ -19,10 +19,12 @@ fn the_defaults_settle_on_every_counter_and_so_do_the_limits() {
     for bits in [16, 32] {
         assert!(settle(&DEFAULTS, bits).is_ok());
         for edge in [LOWEST, HIGHEST] {
-            // A wall or centre may be more counts away than there are; all else goes together.
+            // A wall or centre may be more counts away than there are, and a delay longer than a
+            // period; all else goes together.
             let near = protocol::Parameters {
                 centre_rad: 0.0,
                 wall_rad: 0.0,
+                delay_s: 0.0,
                 ..edge
             };
             assert!(settle(&near, bits).is_ok(), "{near:?}");
@@ -239,24 +241,58 @@ fn what_is_refused_is_refused_by_name_and_changes_nothing() {
 #[test]
 fn another_version_is_refused_with_the_one_that_is_spoken() {
     let mut twin = Twin::new(0, "test");
-    let answer = ask(&mut twin, Request::Hello { version: 2 });
+    let answer = ask(&mut twin, Request::Hello { version: 1 });
     assert!(
-        answer[0].read(|_, message| *message == Message::Refused(Refusal::Version { accepted: 1 }))
+        answer[0].read(|_, message| *message == Message::Refused(Refusal::Version { accepted: 2 }))
     );
 }
 
-fn interval() -> impl Strategy<Value = Interval> {
-    (any::<f32>(), any::<f32>()).prop_map(|(low, high)| Interval { low, high })
+/// Anything, NaN too, and often what is accepted between two limits.
+fn number(lowest: f32, highest: f32) -> impl Strategy<Value = f32> {
+    let floor = lowest.max(1e-6).ln();
+    prop_oneof![
+        1 => any::<f32>(),
+        1 => -2.0..2.0f32,
+        2 => Just(lowest.max(0.0)),
+        40 => (floor..highest.ln()).prop_map(f32::exp),
+    ]
+}
+
+fn interval(lowest: Interval, highest: Interval) -> impl Strategy<Value = Interval> {
+    let ends = (
+        number(lowest.low, highest.low),
+        number(lowest.high, highest.high),
+    );
+    // Now and then as they come, so perhaps reversed.
+    (ends, 0..10).prop_map(|((a, b), swap)| {
+        let (low, high) = if a <= b || swap == 0 { (a, b) } else { (b, a) };
+        Interval { low, high }
+    })
 }
 
 prop_compose! {
     /// Anything that a frame can carry.
     fn any_changes()(
-        numbers in prop::collection::vec(prop::option::of(prop_oneof![any::<f32>(), -2.0..2.0f32]), 6),
-        whole in prop::collection::vec(prop::option::of(any::<u32>()), 2),
-        intervals in prop::collection::vec(prop::option::of(interval()), 3),
-        law in prop::option::of(prop::sample::select(vec![Law::Raw, Law::Static, Law::Episode])),
-        shape in prop::option::of(prop::sample::select(vec![Shape::Spring, Shape::Wall])),
+        numbers in [
+            (LOWEST.sample_period_s, HIGHEST.sample_period_s),
+            (LOWEST.stiffness_nm_rad, HIGHEST.stiffness_nm_rad),
+            (LOWEST.damping_nm_s_rad, HIGHEST.damping_nm_s_rad),
+            (LOWEST.centre_rad, HIGHEST.centre_rad),
+            (LOWEST.wall_rad, HIGHEST.wall_rad),
+            (LOWEST.period_rad, HIGHEST.period_rad),
+            (LOWEST.torque_max_nm, HIGHEST.torque_max_nm),
+            (LOWEST.speed_max_rad_s, HIGHEST.speed_max_rad_s),
+            (LOWEST.delay_s, HIGHEST.delay_s),
+            (LOWEST.amplifier_tau_s, HIGHEST.amplifier_tau_s),
+            (LOWEST.jitter_s, HIGHEST.jitter_s),
+            (LOWEST.torque_step_nm, HIGHEST.torque_step_nm),
+        ].map(|(lowest, highest)| prop::option::of(number(lowest, highest))),
+        whole in prop::collection::vec(prop::option::of(prop_oneof![1 => any::<u32>(), 20 => 1..10_000u32]), 2),
+        inertia_kg_m2 in prop::option::of(interval(LOWEST.inertia_kg_m2, HIGHEST.inertia_kg_m2)),
+        viscous_nm_s_rad in prop::option::of(interval(LOWEST.viscous_nm_s_rad, HIGHEST.viscous_nm_s_rad)),
+        coulomb_nm in prop::option::of(interval(LOWEST.coulomb_nm, HIGHEST.coulomb_nm)),
+        law in prop::option::of(prop::sample::select(vec![Law::Raw, Law::Static, Law::Episode, Law::Ledger, Law::Auto])),
+        shape in prop::option::of(prop::sample::select(vec![Shape::Spring, Shape::Wall, Shape::Detent])),
     ) -> Changes {
         Changes {
             sample_period_s: numbers[0],
@@ -265,49 +301,261 @@ prop_compose! {
             law,
             shape,
             stiffness_nm_rad: numbers[1],
-            centre_rad: numbers[2],
-            wall_rad: numbers[3],
-            torque_max_nm: numbers[4],
-            speed_max_rad_s: numbers[5],
-            inertia_kg_m2: intervals[0],
-            viscous_nm_s_rad: intervals[1],
-            coulomb_nm: intervals[2],
+            damping_nm_s_rad: numbers[2],
+            centre_rad: numbers[3],
+            wall_rad: numbers[4],
+            period_rad: numbers[5],
+            torque_max_nm: numbers[6],
+            speed_max_rad_s: numbers[7],
+            inertia_kg_m2,
+            viscous_nm_s_rad,
+            coulomb_nm,
+            delay_s: numbers[8],
+            amplifier_tau_s: numbers[9],
+            jitter_s: numbers[10],
+            torque_step_nm: numbers[11],
         }
     }
+}
+
+/// The counter from tick to tick: mostly a few counts further, now and then anywhere.
+fn counters() -> impl Strategy<Value = Vec<u32>> {
+    let step = prop_oneof![
+        20 => -3..=3i32,
+        5 => -300..300i32,
+        1 => any::<i32>(),
+    ];
+    prop::collection::vec(step, 1..60).prop_map(|steps| {
+        let mut counter = 0_i32;
+        let walk = steps.into_iter().map(|step| {
+            counter = counter.wrapping_add(step);
+            counter as u32
+        });
+        walk.collect()
+    })
+}
+
+/// What a set was answered with.
+fn set(twin: &mut Twin, changes: Changes) -> Option<Refusal> {
+    let answer = ask(twin, Request::Set(changes));
+    answer[0].read(|_, message| match message {
+        Message::Done { .. } => None,
+        Message::Refused(refusal) => Some(*refusal),
+        other => panic!("{other:?}"),
+    })
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(5_000))]
 
     /// Whatever is set, it is taken whole or not at all, the torque stays finite and within its
-    /// limit, and the device goes on answering.
+    /// limit, and the device goes on answering. What is refused beside the others is not with either end of
+    /// what is said to be accepted.
     #[test]
     fn no_set_gets_past_the_desk_that_the_tick_could_not_run_with(
-        changes in any_changes(), counters in prop::collection::vec(any::<u32>(), 1..20), arm in any::<bool>(),
+        sets in prop::collection::vec((any_changes(), counters()), 1..4), arm in any::<bool>(),
     ) {
         let mut twin = Twin::new(0, "test");
-        if arm {
-            ask(&mut twin, Request::Arm);
+        let mut want = DEFAULTS;
+        let mut armed = false;
+        for (changes, counters) in sets {
+            match set(&mut twin, changes) {
+                None => want = want.with(&changes),
+                Some(Refusal::Together { name, lowest, highest }) => {
+                    for accepted in [lowest, highest] {
+                        let parameters = with(&want.with(&changes), name, accepted);
+                        // Another may still be wrong.
+                        let left = settle(&parameters, 32).err();
+                        let same = |refusal| matches!(refusal, Refusal::Together { name: other, .. } if other == name);
+                        prop_assert!(!left.is_some_and(same), "{name:?} {accepted} {parameters:?}");
+                    }
+                }
+                Some(_) => {}
+            }
+            prop_assert!(settle(&want, 32).is_ok());
+            let get = ask(&mut twin, Request::Get);
+            prop_assert!(get[0].read(|_, message| *message == Message::Parameters(want)));
+            if arm && !armed {
+                ask(&mut twin, Request::Arm);
+                armed = true;
+            }
+            for counter in counters {
+                let torque = twin.tick(counter, false);
+                prop_assert!(torque.is_finite() && torque.abs() <= want.torque_max_nm);
+            }
+            twin.take_output();
+            let status = ask(&mut twin, Request::Status);
+            let not_finite = State::Fault(protocol::Fault::TorqueNotFinite);
+            let known = status.iter().any(|answer| answer.read(|_, message| matches!(
+                message,
+                Message::Status(status) if status.state != not_finite
+            )));
+            prop_assert!(known);
         }
-        let answer = ask(&mut twin, Request::Set(changes));
-        let done = answer[0].read(|_, message| match message {
-            Message::Done { .. } => true,
-            Message::Refused(_) => false,
+    }
+}
+
+/// Parameters with one number of [`Refusal::Together`] changed.
+fn with(parameters: &protocol::Parameters, name: Name, value: f32) -> protocol::Parameters {
+    let mut all = *parameters;
+    let place = match name {
+        Name::CentreRad => &mut all.centre_rad,
+        Name::WallRad => &mut all.wall_rad,
+        Name::PeriodRad => &mut all.period_rad,
+        Name::DelayS => &mut all.delay_s,
+        Name::JitterS => &mut all.jitter_s,
+        other => panic!("{other:?} goes together with anything"),
+    };
+    *place = value;
+    all
+}
+
+#[test]
+fn what_does_not_go_together_is_refused_with_what_would() {
+    let together = |changes: Changes| match set(&mut Twin::new(0, "test"), changes) {
+        Some(Refusal::Together {
+            name,
+            lowest,
+            highest,
+        }) => (name, lowest, highest),
+        other => panic!("{other:?}"),
+    };
+    let none = Changes::default();
+    for law in [Law::Ledger, Law::Auto] {
+        let late = Changes {
+            law: Some(law),
+            delay_s: Some(0.9e-3),
+            jitter_s: Some(0.2e-3),
+            ..none
+        };
+        let (name, lowest, highest) = together(late);
+        assert_eq!((name, lowest), (Name::DelayS, 0.0));
+        assert!((highest - 0.8e-3).abs() < 1e-9);
+    }
+    let late = Changes {
+        law: Some(Law::Static),
+        delay_s: Some(5e-3),
+        ..none
+    };
+    assert_eq!(
+        set(&mut Twin::new(0, "test"), late),
+        None,
+        "only the ledger looks ahead"
+    );
+    let fine = Changes {
+        shape: Some(Shape::Detent),
+        period_rad: Some(1e-3),
+        ..none
+    };
+    let (name, lowest, highest) = together(fine);
+    assert_eq!(name, Name::PeriodRad);
+    assert!((lowest - 2.0 * std::f32::consts::TAU / 8192.0).abs() < 1e-9 && highest > 1e5);
+    let shaking = Changes {
+        jitter_s: Some(1e-3),
+        ..none
+    };
+    let (name, _, highest) = together(shaking);
+    assert!(name == Name::JitterS && highest < 1e-3);
+    let far = Changes {
+        counts_per_rev: Some(1_000_000),
+        wall_rad: Some(1e3),
+        shape: Some(Shape::Wall),
+        ..none
+    };
+    assert_eq!(
+        set(&mut Twin::new(0, "test"), far),
+        None,
+        "1.6e8 counts can be counted"
+    );
+}
+
+/// A jump is measured by what the knob can turn in the longest period that is believed.
+#[test]
+fn believed_jitter_gives_the_encoder_as_much_more_room() {
+    let furthest = |jitter_s| {
+        let parameters = protocol::Parameters {
+            jitter_s,
+            ..DEFAULTS
+        };
+        settle(&parameters, 32).unwrap().furthest_counts
+    };
+    assert_eq!(furthest(0.0), 1304);
+    assert_eq!(furthest(0.5e-3), 1956);
+}
+
+#[test]
+fn telemetry_tells_the_law_in_force_and_what_the_account_holds() {
+    let mut twin = Twin::new(0, "test");
+    let stiff = Changes {
+        law: Some(Law::Auto),
+        stiffness_nm_rad: Some(2.0),
+        ..Changes::default()
+    };
+    let soft = Changes {
+        stiffness_nm_rad: Some(0.01),
+        ..Changes::default()
+    };
+    for request in [
+        Request::Set(stiff),
+        Request::Arm,
+        Request::Subscribe(Subscription {
+            every_ticks: 1,
+            fields: Fields::ALL,
+            clamp_events: false,
+        }),
+    ] {
+        ask(&mut twin, request);
+    }
+    let told = |twin: &mut Twin, counter| {
+        twin.take_output();
+        twin.tick(counter, false);
+        let told = answers(&mut Frames::new(), &twin.take_output());
+        told[0].read(|_, message| match message {
+            Message::Telemetry(telemetry) => *telemetry,
             other => panic!("{other:?}"),
-        });
-        let want = if done { DEFAULTS.with(&changes) } else { DEFAULTS };
-        prop_assert!(!done || settle(&want, 32).is_ok());
-        let get = ask(&mut twin, Request::Get);
-        prop_assert!(get[0].read(|_, message| *message == Message::Parameters(want)));
-        for counter in counters {
-            let torque = twin.tick(counter, false);
-            prop_assert!(torque.is_finite() && torque.abs() <= want.torque_max_nm);
+        })
+    };
+    let mut most = 0.0_f32;
+    for counter in 0..40 {
+        let now = told(&mut twin, counter);
+        assert_eq!(
+            (now.law, now.demanded_nm_rad),
+            (Some(Law::Ledger), Some(2.0))
+        );
+        most = most.max(now.account_j.unwrap());
+    }
+    assert!(most > 0.0, "pushing the spring in pays in");
+    twin.send(&request_frame(5, Request::Set(soft)));
+    // At the centre the plain spring can do all that is demanded.
+    for counter in (0..40).rev() {
+        twin.tick(counter, false);
+    }
+    let now = told(&mut twin, 0);
+    assert_eq!((now.law, now.account_j), (Some(Law::Static), Some(0.0)));
+    assert_eq!(now.stiffness_nm_rad, Some(0.01));
+}
+
+/// Arming lets go under the ledger too: its account begins empty, and stays so at rest.
+#[test]
+fn arming_under_load_gives_no_more_torque_than_friction_holds() {
+    for law in [Law::Ledger, Law::Auto] {
+        let mut twin = Twin::new(0, "test");
+        let changes = Changes {
+            law: Some(law),
+            stiffness_nm_rad: Some(2.0),
+            ..Changes::default()
+        };
+        twin.send(&request_frame(1, Request::Set(changes)));
+        for _ in 0..5 {
+            assert_eq!(twin.tick(300, false), 0.0, "disarmed");
         }
-        let status = ask(&mut twin, Request::Status);
-        let known = status.iter().any(|answer| answer.read(|_, message| matches!(
-            message,
-            Message::Status(status) if matches!(status.state, State::Disarmed | State::Armed | State::Fault(_))
-        )));
-        prop_assert!(known);
+        twin.send(&request_frame(2, Request::Arm));
+        for _ in 0..200 {
+            // 0.46 Nm are demanded.
+            assert!(
+                twin.tick(300, false).abs() < DEFAULTS.coulomb_nm.low,
+                "{law:?}"
+            );
+        }
     }
 }

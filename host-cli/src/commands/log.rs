@@ -11,11 +11,12 @@ use serde::Serialize;
 use crate::device::{Device, Unasked};
 use crate::output::say_line;
 use crate::output::{Output, publish};
-use crate::parameters::short;
+use crate::parameters::{self, short};
 use crate::ports::Connection;
 use crate::{number, progress, words};
 
-/// Record what the ticks do as CSV: state, count, torque, stiffness, margin, and why it is clamped.
+/// Record what the ticks do as CSV: state, count, torque, stiffness, margin, why it is clamped, the
+/// law in force, and the energy in the ledger's account.
 ///
 /// Time is the device's: S seconds of its ticks. Ticks that are missing are counted.
 #[derive(clap::Args)]
@@ -42,7 +43,8 @@ pub struct Args {
 /// After so long without a row the device is asked how it is.
 const SILENCE: Duration = Duration::from_secs(2);
 
-const HEADER: &str = "tick,state,count,torque_nm,stiffness_nm_rad,demanded_nm_rad,margin_nm,reason";
+const HEADER: &str =
+    "tick,state,count,torque_nm,stiffness_nm_rad,demanded_nm_rad,margin_nm,reason,law,account_j";
 
 pub fn run(args: &Args) -> Result<()> {
     let output = Output::prepare("--out", &args.out, args.force)?;
@@ -106,6 +108,8 @@ struct Summary {
     clamp_changes: u64,
     /// Rows by reason.
     reasons: BTreeMap<&'static str, u64>,
+    /// Rows by law in force.
+    laws: BTreeMap<&'static str, u64>,
     faults: Vec<FaultJson>,
 }
 
@@ -140,6 +144,9 @@ impl Summary {
                 say_line!("clamp        {}: {rows} rows", words::clamp(reason));
             }
         }
+        for (law, rows) in &self.laws {
+            say_line!("law          {law}: {rows} rows");
+        }
         for fault in &self.faults {
             say_line!("fault        tick {}: {}", fault.tick, fault.fault_text);
         }
@@ -147,13 +154,17 @@ impl Summary {
     }
 }
 
-const REASONS: [ClampReason; 6] = [
+const REASONS: [ClampReason; 10] = [
     ClampReason::None,
     ClampReason::Viscous,
     ClampReason::Coulomb,
     ClampReason::Speed,
     ClampReason::ZeroForce,
     ClampReason::Torque,
+    ClampReason::Inertia,
+    ClampReason::Coarse,
+    ClampReason::Account,
+    ClampReason::Hand,
 ];
 
 /// A log that is being written.
@@ -240,17 +251,22 @@ impl Log {
                 .entry(words::clamp_code(reason))
                 .or_default() += 1;
         }
+        if let Some(law) = telemetry.law {
+            *self.summary.laws.entry(parameters::law(law)).or_default() += 1;
+        }
         let count = telemetry.count.map(|count| count.to_string());
         let number = |value: Option<f32>| value.map(short).unwrap_or_default();
         self.line(format_args!(
-            "{tick},{},{},{},{},{},{},{}",
+            "{tick},{},{},{},{},{},{},{},{},{}",
             words::state(telemetry.state),
             count.unwrap_or_default(),
             number(telemetry.torque_nm),
             number(telemetry.stiffness_nm_rad),
             number(telemetry.demanded_nm_rad),
             number(telemetry.margin_nm),
-            telemetry.reason.map(words::clamp_code).unwrap_or_default()
+            telemetry.reason.map(words::clamp_code).unwrap_or_default(),
+            telemetry.law.map(parameters::law).unwrap_or_default(),
+            number(telemetry.account_j)
         ))?;
         Ok(true)
     }

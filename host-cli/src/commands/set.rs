@@ -14,11 +14,11 @@ use crate::words;
 
 /// Change parameters: all that are given, or none. Names and units as `knob get` shows them.
 ///
-/// Words: law=raw|static|episode, shape=spring|wall. What is believed of the motor is a number
-/// or a range: coulomb_nm=1.8e-3..2.2e-3.
+/// Words: law=raw|static|episode|ledger|auto, shape=spring|wall|detent. What is believed of the motor
+/// is a number or a range: coulomb_nm=1.8e-3..2.2e-3.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  knob set stiffness_nm_rad=0.5 law=episode\n  knob set coulomb_nm=1.8e-3..2.2e-3 shape=wall wall_rad=-0.2"
+    after_help = "Examples:\n  knob set stiffness_nm_rad=2 law=auto\n  knob set shape=detent period_rad=0.2 damping_nm_s_rad=1e-5\n  knob set coulomb_nm=1.8e-3..2.2e-3 shape=wall wall_rad=-0.2"
 )]
 pub struct Args {
     /// What to change

@@ -127,10 +127,12 @@ pub fn board_with(
     let mut desk = Desk::new(identity, DEFAULTS, link, command_sender, record_receiver);
     let mut inbox = VecDeque::new();
     let mut counter = 0_i32;
+    let mut period_s = DEFAULTS.sample_period_s;
     let port = Port::new(move |incoming, outgoing| {
         inbox.extend(incoming);
         counter = counter.wrapping_add(held.speed.load(Relaxed) + held.jump.swap(0, Relaxed));
-        ticker.tick(counter as u32, false);
+        let output = ticker.tick(counter as u32, period_s, false);
+        period_s = output.period_s.unwrap_or(period_s);
         desk.serve(
             || inbox.pop_front(),
             |frame| {
