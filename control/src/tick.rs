@@ -17,8 +17,8 @@
 //! Back to the spring only where it starts with nothing: on the free side of a wall; for
 //! a spring that is passive at every speed in the cell of its zero, as under static; else at rest where
 //! friction holds its whole torque, K·(|q| + Δ/2) ≤ c, so that what it stores is no more than what friction
-//! takes on the way back. And never with an account below 0. So a change adds no energy, in
-//! contact or out of it.
+//! takes on the way back. So a change adds no energy, in contact or out of it. (An account below 0
+//! says how much is uncertain, not that it was given out.)
 
 use crate::config::Law;
 use crate::encoder::Encoder;
@@ -388,16 +388,11 @@ impl Controller {
         let plan = &self.plan;
         let mechanics = &plan.ledger.mechanics;
         let deflection = reading.deflection_rad.abs();
-        if self.ledger.account_j < 0.0 {
-            false
-        } else if reading.free || (plain && deflection <= mechanics.half_count_rad) {
-            true
-        } else {
-            let furthest = deflection + mechanics.half_count_rad;
-            step.seen
-                && step.moved == 0
-                && plan.demanded_nm_rad() * furthest <= mechanics.coulomb_low
+        if reading.free || (plain && deflection <= mechanics.half_count_rad) {
+            return true;
         }
+        let furthest = deflection + mechanics.half_count_rad;
+        step.seen && step.moved == 0 && plan.demanded_nm_rad() * furthest <= mechanics.coulomb_low
     }
 
     #[inline]
