@@ -99,6 +99,10 @@ impl Encoder {
         let moved = (raw.wrapping_sub(self.raw) << shift) as i32 >> shift;
         self.raw = raw;
         let decimation = self.config.decimation;
+        if decimation == NonZeroU32::MIN {
+            self.count = self.count.wrapping_add(moved);
+            return self.count;
+        }
         // From the lower edge of the present cell. A move so far that this does not fit in
         // 31 bits is divided in two parts.
         let from_edge = match moved.checked_add(self.residue as i32) {

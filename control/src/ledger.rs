@@ -32,9 +32,9 @@
 //! *Assumed:* m, b, c, the timing and the torque as believed, and a hand that leaves velocity and
 //! position in their intervals. Nothing is said beyond: see `docs/limits.md`.
 
-use crate::motion::{Motion, Span, UNKNOWN_VELOCITY};
+use crate::motion::{Interval, Motion, Span, UNKNOWN_VELOCITY};
 use crate::plan::LedgerPlan;
-use crate::real::smaller;
+use crate::real::larger;
 use crate::root::root;
 use crate::tick::Reason;
 use crate::tuning::Tuning;
@@ -51,8 +51,8 @@ pub(crate) struct Ledger {
     before_nm: f32,
     /// What the amplifier gives now, Nm.
     lagging_nm: f32,
-    /// Direction of the last movement: −1, 0, 1.
-    direction: i32,
+    /// The last movement, counts; 0 where it is over.
+    direction: f32,
     /// The profile's torque in the last tick, Nm.
     nominal_nm: f32,
     /// The middle of the position when the torque changes, relative to the cell, rad.
@@ -72,7 +72,7 @@ impl Ledger {
             held_nm,
             before_nm: held_nm,
             lagging_nm: held_nm,
-            direction: 0,
+            direction: 0.0,
             nominal_nm: held_nm,
             middle_rad: 0.0,
             width_rad: plan.mechanics.count_rad,
@@ -90,14 +90,14 @@ impl Ledger {
         ledger
     }
 
-    /// Enters the tick that is over: `moved` counts in `duration_s`.
-    #[inline]
-    pub fn enter(&mut self, plan: &LedgerPlan, moved: f32, duration_s: f32) {
+    /// Step 1: the tick that is over, `moved` counts in `duration_s`.
+    #[inline(always)]
+    pub fn enter(&mut self, plan: &LedgerPlan, tuning: &Tuning, interval: &Interval) {
         let mut torque = Span {
             low: self.held_nm,
             high: self.held_nm,
         };
-        if plan.delay_s > 0.0 || plan.lag_s > 0.0 {
+        if plan.late {
             for other in [self.before_nm, self.lagging_nm] {
                 if other < torque.low {
                     torque.low = other;
@@ -108,39 +108,23 @@ impl Ledger {
             }
         }
         self.motion
-            .enter(&plan.mechanics, moved, duration_s, torque);
+            .follow(&plan.mechanics, tuning, interval, torque);
     }
 
-    /// Goes on from a spring that stored so much energy at the last tick, where nobody had
-    /// followed the position; the tick that is over has been entered.
-    pub fn take_over(&mut self, plan: &LedgerPlan, stored_j: f32) {
-        self.motion.forget_position(&plan.mechanics);
-        self.account_j = stored_j;
-        self.direction = 0;
-        self.middle_rad = 0.0;
-        self.nominal_nm = self.held_nm;
-    }
-
-    /// Steps 1 to 3 for the tick entered last, if there was one (`seen`); `nominal_nm` is the
-    /// profile's torque now.
-    #[inline]
+    /// Steps 1 (with delay) to 3 for the tick entered last; `nominal_nm` is the profile's torque now.
+    #[inline(always)]
     pub fn account(
         &mut self,
         plan: &LedgerPlan,
         tuning: &Tuning,
-        seen: bool,
-        moved: i32,
-        duration_s: f32,
+        interval: &Interval,
         nominal_nm: f32,
     ) {
         let mechanics = &plan.mechanics;
         let held = self.held_nm;
         // 1. Intervals, at the time when the torque of this tick will act.
-        if seen {
-            self.motion.follow(mechanics, tuning);
-        }
         let (mut position, mut velocity) = (self.motion.position(), self.motion.velocity());
-        if plan.delay_s > 0.0 {
+        if plan.late {
             let acceleration = self.motion.acceleration();
             let gained = Span {
                 low: acceleration.low * plan.delay_s,
@@ -156,44 +140,44 @@ impl Ledger {
         self.velocity = velocity;
 
         // 2. Account.
-        let counts = moved.unsigned_abs();
-        let sign = moved.signum();
-        self.account_j -= held * (middle - self.middle_rad + moved as f32 * mechanics.count_rad);
+        let moved = interval.counts;
+        self.account_j -= held * (middle - self.middle_rad + moved * mechanics.count_rad);
         self.middle_rad = middle;
-        if counts > 0 && tuning.friction {
-            let sure = (counts - 1) as f32 * mechanics.count_rad;
-            let path = if sign == self.direction {
-                counts as f32 * mechanics.count_rad
+        if tuning.friction {
+            let counts = moved.abs();
+            let sure = if counts > 1.0 { counts - 1.0 } else { 0.0 } * mechanics.count_rad;
+            let path = if moved * self.direction > 0.0 {
+                counts * mechanics.count_rad
             } else {
                 sure
             };
-            self.account_j += tuning.credit
-                * (mechanics.coulomb_low * path
-                    + mechanics.viscous_low * (sure * sure) / duration_s);
+            self.account_j += plan.credited_coulomb * path
+                + plan.credited_viscous * (sure * sure) * interval.rate;
         }
 
         // 3. No credit carried.
-        let passed = nominal_nm * self.nominal_nm < 0.0 && nominal_nm * (sign as f32) < 0.0;
-        if tuning.no_carry && self.account_j > 0.0 && (held == 0.0 || nominal_nm == 0.0 || passed) {
+        let passed = nominal_nm * self.nominal_nm < 0.0 && nominal_nm * moved < 0.0;
+        let apart = held * nominal_nm == 0.0;
+        if self.account_j > 0.0 && (apart || passed) && tuning.no_carry {
             self.account_j = 0.0;
         }
         self.nominal_nm = nominal_nm;
     }
 
     /// Steps 4 and 5 after [`Ledger::account`]; returns the torque, and why it is less.
-    #[inline]
+    #[inline(always)]
     pub fn torque(
         &mut self,
         plan: &LedgerPlan,
         tuning: &Tuning,
-        moved: i32,
+        moved: f32,
         wanted: f32,
     ) -> (f32, Reason) {
         let held = self.held_nm;
         let (width, velocity) = (self.width_rad, self.velocity);
         // 4. Torque.
         let mut sure_j = self.account_j - 0.5 * width * held.abs();
-        if plan.lag_s > 0.0 {
+        if plan.late {
             let with = if self.lagging_nm > 0.0 {
                 velocity.high
             } else {
@@ -212,26 +196,21 @@ impl Ledger {
             velocity.low
         };
         let reach = (plan.longest_s + plan.tau_s) * against;
-        let friction = tuning.credit * plan.mechanics.coulomb_low;
+        let friction = plan.credited_coulomb;
         let short = if tuning.count_margin {
             reach - plan.mechanics.count_rad
         } else {
             reach
         };
         let mut limit = limit_nm(sure_j, plan.stiffness, plan.compliance, short, friction);
-        if tuning.holding && wanted * (moved.signum() as f32) <= 0.0 && wanted * held > 0.0 {
-            let holding = smaller(
-                limit_nm(
-                    sure_j,
-                    plan.holding,
-                    plan.holding_compliance,
-                    reach,
-                    friction,
-                ),
-                held.abs(),
-            );
-            if holding > limit {
-                limit = holding;
+        if tuning.holding && wanted * moved <= 0.0 && wanted * held > 0.0 {
+            // |F| ≤ L(K_h, d), without its root.
+            let braking = larger(2.0 * plan.holding * reach, friction);
+            let rest = held.abs() - braking;
+            if rest <= 0.0
+                || rest * (rest * plan.holding_compliance + 2.0 * reach.abs()) <= 2.0 * sure_j
+            {
+                limit = larger(limit, held.abs());
             }
         }
         let mut reason = plan.reason;
@@ -259,7 +238,7 @@ impl Ledger {
         if tuning.charge {
             self.account_j -= (torque - held).abs() * (0.5 * width);
         }
-        if plan.lag_s > 0.0 {
+        if plan.late {
             // Until the amplifier has followed, the knob takes −(old − new)·∫v less in.
             let left = (self.lagging_nm - torque) * plan.lag_s;
             let worst = if left > 0.0 {
@@ -269,35 +248,33 @@ impl Ledger {
             };
             self.account_j -= left * worst;
         }
-        if moved != 0 {
-            self.direction = moved.signum();
+        if moved != 0.0 {
+            self.direction = moved;
         } else if torque == 0.0 {
-            self.direction = 0;
+            self.direction = 0.0;
         }
         self.hold(plan, torque);
         (torque, reason)
     }
 
     /// Takes note of the torque that is commanded.
-    #[inline]
+    #[inline(always)]
     pub fn hold(&mut self, plan: &LedgerPlan, torque_nm: f32) {
-        self.before_nm = self.held_nm;
+        if plan.late {
+            self.before_nm = self.held_nm;
+            self.lagging_nm = torque_nm + (self.lagging_nm - torque_nm) * plan.lag_left;
+        }
         self.held_nm = torque_nm;
-        self.lagging_nm = torque_nm + (self.lagging_nm - torque_nm) * plan.lag_left;
     }
 }
 
 /// L(K, d) = 2s/(|d| + √(d² + 2s/K)) + max(ηc, 2Kd), Nm.
-#[inline]
+#[inline(always)]
 fn limit_nm(sure_j: f32, stiffness: f32, compliance: f32, reach_rad: f32, friction: f32) -> f32 {
     let twice = 2.0 * sure_j;
     let size = reach_rad.abs() + root(reach_rad * reach_rad + twice * compliance);
     let braking = 2.0 * stiffness * reach_rad;
-    let braking = if braking > friction {
-        braking
-    } else {
-        friction
-    };
+    let braking = larger(braking, friction);
     if size > 0.0 {
         twice / size + braking
     } else {

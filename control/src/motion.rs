@@ -38,6 +38,17 @@ impl Span {
         0.5 * (self.low + self.high)
     }
 
+    /// What it has in common with another.
+    #[inline(always)]
+    fn narrow(&mut self, other: &Self) {
+        if other.low > self.low {
+            self.low = other.low;
+        }
+        if other.high < self.high {
+            self.high = other.high;
+        }
+    }
+
     /// The width.
     #[must_use]
     pub fn width(&self) -> f32 {
@@ -45,23 +56,70 @@ impl Span {
     }
 }
 
-/// One tick of the past.
+/// The time from one tick to the next, as the counts tell it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Past {
-    /// How far the counts moved, rad.
-    moved_rad: f32,
+pub struct Interval {
+    /// Counts moved.
+    pub counts: f32,
     /// Its length, s.
-    duration_s: f32,
-    /// The change of velocity in it, rad/s.
-    gained: Span,
+    pub duration_s: f32,
+    /// 1 over its length, 1/s.
+    pub rate: f32,
+    /// The fastest mean speed that the counts allow, rad/s.
+    pub fast: f32,
 }
 
-/// A tick that nobody saw: it may have changed the velocity by anything.
-const UNSEEN: Past = Past {
-    moved_rad: 0.0,
-    duration_s: 1.0,
-    gained: UNKNOWN_VELOCITY,
-};
+/// One or more ticks in a row, as the velocity interval needs them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Window {
+    /// How far the counts moved, N·Δ, rad.
+    moved_rad: f32,
+    /// W, s.
+    duration_s: f32,
+    /// Σ aᵢ·dtᵢ: the change of velocity, rad/s.
+    gained: Span,
+    /// Σ aᵢ·dtᵢ·(time from the middle of tick i to the end), rad.
+    late: Span,
+}
+
+impl Window {
+    /// A tick that nobody saw: it may have changed the velocity by anything.
+    const UNSEEN: Self = Self {
+        moved_rad: 0.0,
+        duration_s: 1.0,
+        gained: UNKNOWN_VELOCITY,
+        late: Span {
+            low: 0.5 * UNKNOWN_VELOCITY.low,
+            high: 0.5 * UNKNOWN_VELOCITY.high,
+        },
+    };
+
+    /// This window and the one before it.
+    #[inline(always)]
+    fn after(&self, older: &Self) -> Self {
+        Self {
+            moved_rad: self.moved_rad + older.moved_rad,
+            duration_s: self.duration_s + older.duration_s,
+            gained: Span {
+                low: self.gained.low + older.gained.low,
+                high: self.gained.high + older.gained.high,
+            },
+            late: Span {
+                low: self.late.low + older.late.low + older.gained.low * self.duration_s,
+                high: self.late.high + older.late.high + older.gained.high * self.duration_s,
+            },
+        }
+    }
+
+    /// The velocity at its end; `rate` is 1/W.
+    #[inline(always)]
+    fn velocity(&self, rate: f32, count_rad: f32) -> Span {
+        Span {
+            low: self.gained.low + (self.moved_rad - count_rad - self.late.low) * rate,
+            high: self.gained.high + (self.moved_rad + count_rad - self.late.high) * rate,
+        }
+    }
+}
 
 /// Faster than any knob, rad/s; its square is finite.
 pub(crate) const UNKNOWN_VELOCITY: Span = Span {
@@ -72,10 +130,13 @@ pub(crate) const UNKNOWN_VELOCITY: Span = Span {
 /// What the counts say of the motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
-    /// A ring, written twice over, so that the last ticks always lie in a row.
-    past: [Past; 2 * TICKS_BACK],
-    /// Where the last tick lies in its first half.
-    last: usize,
+    /// Ticks entered, wrapping.
+    ticks: usize,
+    /// The last tick; then windows of two and four ticks, each as it ended two and four ticks ago
+    /// or less, in a ring. Two of a length that follow each other make the next longer one.
+    one: Window,
+    two: [Window; 2],
+    four: [Window; 4],
     /// a_hand, rad/s².
     hand_rad_s2: f32,
     /// The position relative to the middle of the count's cell, rad.
@@ -94,8 +155,10 @@ impl Motion {
     pub fn unknown(mechanics: &Mechanics) -> Self {
         let half = mechanics.half_count_rad;
         Self {
-            past: [UNSEEN; 2 * TICKS_BACK],
-            last: 0,
+            ticks: 0,
+            one: Window::UNSEEN,
+            two: [Window::UNSEEN; 2],
+            four: [Window::UNSEEN; 4],
             hand_rad_s2: 0.0,
             position: Span {
                 low: -half,
@@ -148,58 +211,53 @@ impl Motion {
         self.contradicted
     }
 
-    /// The whole cell: all that is known where nobody followed.
-    pub fn forget_position(&mut self, mechanics: &Mechanics) {
-        self.position = Span {
-            low: -mechanics.half_count_rad,
-            high: mechanics.half_count_rad,
-        };
-    }
-
-    /// Enters a tick of `duration_s` in which the counts moved by `moved` under torques within
-    /// `torque`, Nm.
-    #[inline]
-    pub fn enter(&mut self, mechanics: &Mechanics, moved: f32, duration_s: f32, torque: Span) {
+    /// The intervals after one of time, under torques within `torque`, Nm.
+    #[inline(always)]
+    pub fn follow(
+        &mut self,
+        mechanics: &Mechanics,
+        tuning: &Tuning,
+        interval: &Interval,
+        torque: Span,
+    ) {
+        let duration_s = interval.duration_s;
         let strongest = if -torque.low > torque.high {
             -torque.low
         } else {
             torque.high
         };
         // The most that friction can be: at the mean speed, and what the torque can add to it.
-        let speed = (moved.abs() + 1.0) * mechanics.count_rad / duration_s
-            + (strongest + mechanics.coulomb_high) * duration_s * mechanics.mobility;
-        let friction = mechanics.coulomb_high + 1.05 * mechanics.viscous_high * speed;
+        let speed =
+            interval.fast + (strongest + mechanics.coulomb_high) * duration_s * mechanics.mobility;
+        let friction = mechanics.coulomb_high + mechanics.viscous_high * speed;
         let slowing = (torque.low - friction) * mechanics.mobility;
         let speeding = (torque.high + friction) * mechanics.mobility;
         self.acceleration = Span {
             low: if slowing < 0.0 { slowing } else { 0.0 } - self.hand_rad_s2,
             high: if speeding > 0.0 { speeding } else { 0.0 } + self.hand_rad_s2,
         };
-        let past = Past {
-            moved_rad: moved * mechanics.count_rad,
+        let gained = Span {
+            low: self.acceleration.low * duration_s,
+            high: self.acceleration.high * duration_s,
+        };
+        let half_s = 0.5 * duration_s;
+        let newest = Window {
+            moved_rad: interval.counts * mechanics.count_rad,
             duration_s,
-            gained: Span {
-                low: self.acceleration.low * duration_s,
-                high: self.acceleration.high * duration_s,
+            gained,
+            late: Span {
+                low: gained.low * half_s,
+                high: gained.high * half_s,
             },
         };
-        self.last = (self.last + 1) % TICKS_BACK;
-        self.past[self.last] = past;
-        self.past[self.last + TICKS_BACK] = past;
-    }
-
-    /// The intervals after the tick entered last.
-    #[inline]
-    pub fn follow(&mut self, mechanics: &Mechanics, tuning: &Tuning) {
         let hand = self.hand_rad_s2;
         self.hand_rad_s2 = tuning.hand_decay * hand;
         self.contradicted = false;
-        let newest = self.past[self.last % TICKS_BACK];
-        let gap = self.find_velocity(mechanics, tuning);
+        let gap = self.find_velocity(&newest, interval.rate, mechanics.count_rad, tuning);
         if gap > 0.0 && tuning.hand {
             self.raise_hand(
                 tuning.hand_growth * hand,
-                2.0 * gap / newest.duration_s,
+                2.0 * gap * interval.rate,
                 mechanics,
             );
         }
@@ -243,48 +301,32 @@ impl Motion {
         self.contradicted = true;
     }
 
-    /// Sets the velocity interval; returns by how much it would be empty, rad/s.
-    #[inline]
-    fn find_velocity(&mut self, mechanics: &Mechanics, tuning: &Tuning) -> f32 {
-        let newest = self.last % TICKS_BACK + TICKS_BACK;
-        let mut window_s = 0.0;
-        let mut gained = Span {
-            low: 0.0,
-            high: 0.0,
-        };
-        // N·Δ ∓ Δ − Σ aᵢ·dtᵢ·(time from the middle of tick i to now).
-        let mut way = Span {
-            low: -mechanics.count_rad,
-            high: mechanics.count_rad,
-        };
-        let mut all = UNKNOWN_VELOCITY;
-        let mut last_tick = UNKNOWN_VELOCITY;
-        for j in 0..TICKS_BACK {
-            let past = &self.past[newest - j];
-            let age = window_s + 0.5 * past.duration_s;
-            window_s += past.duration_s;
-            gained.low += past.gained.low;
-            gained.high += past.gained.high;
-            way.low += past.moved_rad - past.gained.low * age;
-            way.high += past.moved_rad - past.gained.high * age;
-            if !(j + 1).is_power_of_two() || j >= tuning.ticks_back {
-                continue;
-            }
-            let rate = 1.0 / window_s;
-            let span = Span {
-                low: gained.low + way.low * rate,
-                high: gained.high + way.high * rate,
-            };
-            if j == 0 {
-                last_tick = span;
-                all = span;
-                continue;
-            }
-            if span.low > all.low {
-                all.low = span.low;
-            }
-            if span.high < all.high {
-                all.high = span.high;
+    /// Takes the last tick into the windows and sets the velocity interval; returns by how much it
+    /// would be empty, rad/s.
+    #[inline(always)]
+    fn find_velocity(&mut self, one: &Window, rate: f32, count_rad: f32, tuning: &Tuning) -> f32 {
+        let last_tick = one.velocity(rate, count_rad);
+        let mut all = last_tick;
+        let ticks = self.ticks.wrapping_add(1);
+        self.ticks = ticks;
+
+        let two = one.after(&self.one);
+        self.one = *one;
+        if tuning.ticks_back >= 2 {
+            all.narrow(&two.velocity(1.0 / two.duration_s, count_rad));
+        }
+        let earlier = &mut self.two[ticks % 2];
+        let four = two.after(earlier);
+        *earlier = two;
+        if tuning.ticks_back >= 4 {
+            all.narrow(&four.velocity(1.0 / four.duration_s, count_rad));
+        }
+        if TICKS_BACK >= 8 {
+            let earlier = &mut self.four[ticks % 4];
+            let eight = four.after(earlier);
+            *earlier = four;
+            if tuning.ticks_back >= 8 {
+                all.narrow(&eight.velocity(1.0 / eight.duration_s, count_rad));
             }
         }
         let gap = all.low - all.high;

@@ -20,9 +20,7 @@ pub struct Mechanics {
     pub half_count_rad: f32,
     /// 1/m, m at its least.
     pub mobility: f32,
-    /// b at its least.
-    pub viscous_low: f32,
-    /// b at its most.
+    /// 1.05·b, b at its most.
     pub viscous_high: f32,
     /// c at its least.
     pub coulomb_low: f32,
@@ -46,6 +44,11 @@ pub(crate) struct LedgerPlan {
     pub damping: f32,
     /// T_max.
     pub longest_s: f32,
+    /// η·c and η·b.
+    pub credited_coulomb: f32,
+    pub credited_viscous: f32,
+    /// There is a delay or a lag.
+    pub late: bool,
     /// From the encoder's reading to the torque's change.
     pub delay_s: f32,
     /// τ.
@@ -89,6 +92,8 @@ pub struct Plan {
     pub(crate) limit_nm_rad: f32,
     pub(crate) limit_reason: Reason,
     pub(crate) torque_max_nm: f32,
+    /// Neither virtual damping nor torque steps.
+    pub(crate) bare: bool,
     /// T, s.
     period_s: f32,
     /// Δ/T, rad/s: the speed of one count per sample.
@@ -170,6 +175,7 @@ impl Plan {
                 Reason::None
             },
             torque_max_nm,
+            bare: damping == 0.0 && config.torque_step_nm == 0.0,
             period_s: timing.period_s as f32,
             periods_per_rad: positive(
                 "sample period / count (s/rad)",
@@ -301,10 +307,9 @@ fn ledger_plan(
             count_rad: count_rad as f32,
             half_count_rad: 0.5 * count_rad as f32,
             mobility: positive("1 / inertia (1/kg m²)", (1.0 / inertia) as f32)?,
-            viscous_low: believed.viscous_nm_s_rad.low as f32,
             viscous_high: not_negative(
                 "viscous friction (Nm s/rad)",
-                believed.viscous_nm_s_rad.high as f32,
+                (1.05 * believed.viscous_nm_s_rad.high) as f32,
             )?,
             coulomb_low: coulomb as f32,
             coulomb_high: not_negative("Coulomb friction (Nm)", believed.coulomb_nm.high as f32)?,
@@ -319,6 +324,9 @@ fn ledger_plan(
         holding_compliance: 1.0 / holding,
         damping: smaller(config.damping_nm_s_rad as f32, damping_limit),
         longest_s: timing.longest_s() as f32,
+        credited_coulomb: tuning.credit * coulomb as f32,
+        credited_viscous: tuning.credit * believed.viscous_nm_s_rad.low as f32,
+        late: timing.delay_s > 0.0 || lag > 0.0,
         delay_s: timing.delay_s as f32,
         tau_s: lag as f32,
         lag_s: (lag * (1.0 - lag_left)) as f32,

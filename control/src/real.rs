@@ -36,3 +36,8 @@ impl Real for f64 {
 pub(crate) fn smaller<T: Real>(a: T, b: T) -> T {
     if b < a { b } else { a }
 }
+
+/// The larger of two numbers that are not NaN.
+pub(crate) fn larger<T: Real>(a: T, b: T) -> T {
+    if b > a { b } else { a }
+}

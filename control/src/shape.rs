@@ -157,13 +157,21 @@ impl Profile {
     /// # Ok::<(), control::ConfigError>(())
     /// ```
     #[must_use]
-    #[inline]
+    #[inline(always)]
     pub fn read(&self, count: i32) -> Reading {
         let counts = count.wrapping_sub(self.zero_count);
         match self.kind {
-            Kind::Spring | Kind::Wall => {
+            Kind::Spring => {
                 let deflection_rad = counts as f32 * self.count_rad - self.offset_rad;
-                let free = self.kind == Kind::Wall && deflection_rad <= 0.0;
+                Reading {
+                    pull_rad: -deflection_rad,
+                    deflection_rad,
+                    free: false,
+                }
+            }
+            Kind::Wall => {
+                let deflection_rad = counts as f32 * self.count_rad - self.offset_rad;
+                let free = deflection_rad <= 0.0;
                 Reading {
                     pull_rad: if free { 0.0 } else { -deflection_rad },
                     deflection_rad,

@@ -10,7 +10,7 @@
 /// assert!((sine_of_turns(-1.0 / 12.0) + 0.5).abs() < 2e-7);
 /// ```
 #[must_use]
-#[inline]
+#[inline(never)]
 pub fn sine_of_turns(phase: f32) -> f32 {
     let folded = if phase > 0.25 {
         0.5 - phase

@@ -24,6 +24,7 @@ use crate::config::Law;
 use crate::encoder::Encoder;
 use crate::ledger::Ledger;
 use crate::margin::reachable_speed_rad_s;
+use crate::motion::Interval;
 use crate::plan::Plan;
 use crate::real::smaller;
 use crate::shape::Reading;
@@ -188,65 +189,77 @@ impl Controller {
         let before = self.encoder.count();
         let count = self.encoder.update(hardware_counter);
         let moved = count.wrapping_sub(before);
-        let counts = moved.unsigned_abs();
-        let count_speed = self.plan.ledger.mechanics.count_rad / duration_s;
-        let step = Step {
-            before,
-            moved,
-            duration_s,
-            count_speed,
-            fast: counts.saturating_add(1) as f32 * count_speed,
-            seen: self.seen,
-        };
+        match self.plan.law {
+            Law::Raw | Law::Static | Law::Episode => self.clamped(count, moved, duration_s),
+            Law::Ledger => self.ledgered(count, moved, duration_s),
+            Law::Auto => self.automatic(count, moved, duration_s),
+        }
+    }
+
+    /// What this tick sees of the time since the last.
+    #[inline(always)]
+    fn look(&mut self, count: i32, moved: i32, duration_s: f32) -> Step {
+        let seen = self.seen;
         self.seen = true;
-        let reading = self.plan.profile.read(count);
-        let (torque_nm, reason) = match self.plan.law {
-            Law::Raw | Law::Static | Law::Episode => self.clamped(&reading, &step),
-            Law::Ledger => self.ledgered(&reading, &step),
-            Law::Auto => self.automatic(&reading, &step),
-        };
-        let plan = &self.plan;
-        let stiffness = self.applied_nm_rad;
-        let fast = if plan.law == Law::Raw {
-            let mobility = plan.ledger.mechanics.mobility;
-            reachable_speed_rad_s(step.fast, stiffness, reading.pull_rad, mobility)
-        } else {
-            step.fast
-        };
-        let slow = counts.saturating_sub(1) as f32 * count_speed;
-        Tick {
+        let rate = 1.0 / duration_s;
+        let count_speed = self.plan.ledger.mechanics.count_rad * rate;
+        let counts = moved as f32;
+        Step {
             count,
             moved,
+            interval: Interval {
+                counts,
+                duration_s,
+                rate,
+                fast: (counts.abs() + 1.0) * count_speed,
+            },
+            count_speed,
+            speed: counts.abs() * count_speed,
+            seen,
+            reading: self.plan.profile.read(count),
+        }
+    }
+
+    /// The tick that gives a torque under a law. `fast`: the fastest of the speeds that it
+    /// answers for, rad/s.
+    #[inline(always)]
+    fn told(&self, step: &Step, fast: f32, law: Law, torque_nm: f32, reason: Reason) -> Tick {
+        let stiffness = self.applied_nm_rad;
+        Tick {
+            count: step.count,
+            moved: step.moved,
             torque_nm,
             stiffness_nm_rad: stiffness,
-            margin_nm: plan.criterion.worst_power_margin_nm(stiffness, slow, fast),
-            account_j: if self.in_force == Law::Ledger {
+            margin_nm: self
+                .plan
+                .criterion
+                .worst_power_margin_nm(stiffness, step.slow(), fast),
+            account_j: if law == Law::Ledger {
                 self.ledger.account_j
             } else {
                 0.0
             },
-            law: self.in_force,
+            law,
             reason,
         }
     }
 
     /// The raw, the static and the episode law.
-    #[inline]
-    fn clamped(&mut self, reading: &Reading, step: &Step) -> (f32, Reason) {
+    #[inline(always)]
+    fn clamped(&mut self, count: i32, moved: i32, duration_s: f32) -> Tick {
+        let step = self.look(count, moved, duration_s);
         let plan = &self.plan;
-        let zero_force =
-            reading.free || reading.deflection_rad.abs() <= plan.ledger.mechanics.half_count_rad;
         let mut target = plan.limit_nm_rad;
         let mut reason = plan.limit_reason;
         if plan.law == Law::Episode {
             // Where 2b/Te < 2c/Δ the limit falls with speed, so the fast end is the worse
             // one; else it never falls below 2c/Δ, which the target keeps to anyway.
             let now = if step.seen {
-                plan.criterion.largest_stiffness_at(step.fast)
+                plan.criterion.largest_stiffness_at(step.fast())
             } else {
                 plan.criterion.largest_stiffness()
             };
-            if (zero_force && step.seen) || now < self.contact_limit_nm_rad {
+            if (step.seen && self.at_zero_force(&step)) || now < self.contact_limit_nm_rad {
                 self.contact_limit_nm_rad = now;
             }
             if self.contact_limit_nm_rad < target {
@@ -254,35 +267,76 @@ impl Controller {
                 reason = Reason::Speed;
             }
         }
-        if target <= self.applied_nm_rad || zero_force {
+        if target <= self.applied_nm_rad || self.at_zero_force(&step) {
             self.applied_nm_rad = target;
         } else {
             reason = Reason::ZeroForce;
         }
-        let torque = self.spring_torque(reading, step, &mut reason);
+        let (torque, limited) = self.spring_torque(&step);
+        if limited {
+            reason = Reason::Torque;
+        }
         self.ledger.held_nm = torque;
-        (torque, reason)
+        let plan = &self.plan;
+        let fast = if plan.law == Law::Raw {
+            let mobility = plan.ledger.mechanics.mobility;
+            let stiffness = self.applied_nm_rad;
+            reachable_speed_rad_s(step.fast(), stiffness, step.reading.pull_rad, mobility)
+        } else {
+            step.fast()
+        };
+        self.told(&step, fast, plan.law, torque, reason)
+    }
+
+    /// The free side of a wall, or a cell that touches the zero.
+    #[inline(always)]
+    fn at_zero_force(&self, step: &Step) -> bool {
+        let half = self.plan.ledger.mechanics.half_count_rad;
+        step.reading.free || step.reading.deflection_rad.abs() <= half
     }
 
     /// The profile's torque at the applied stiffness, with as much virtual damping as the stiffness
-    /// leaves room for, within the torque limit; says so where that acts.
-    #[inline]
-    fn spring_torque(&self, reading: &Reading, step: &Step, reason: &mut Reason) -> f32 {
+    /// leaves room for, within the torque limit; and whether that acts.
+    #[inline(always)]
+    fn spring_torque(&self, step: &Step) -> (f32, bool) {
         let plan = &self.plan;
-        let stiffness = self.applied_nm_rad;
-        let mut torque = stiffness * reading.pull_rad;
-        if plan.demanded_damping > 0.0 && !reading.free {
-            let damping = match plan.law {
-                Law::Raw => plan.demanded_damping,
-                _ => smaller(plan.demanded_damping, plan.damping_limit(stiffness)),
-            };
-            torque -= damping * (step.moved as f32 * step.count_speed);
+        let torque = self.applied_nm_rad * step.reading.pull_rad;
+        if plan.bare && torque.abs() <= plan.torque_max_nm {
+            return (torque, false);
         }
+        let velocity = if step.reading.free {
+            0.0
+        } else {
+            step.interval.counts * step.count_speed
+        };
+        let damped = self.damped(torque, velocity);
+        let limited = damped.abs() > plan.torque_max_nm;
+        (self.given(damped), limited)
+    }
+
+    /// A torque with virtual damping.
+    #[inline(never)]
+    fn damped(&self, torque_nm: f32, velocity: f32) -> f32 {
+        let plan = &self.plan;
+        let most = match plan.law {
+            Law::Raw => plan.demanded_damping,
+            _ => plan.damping_limit(self.applied_nm_rad),
+        };
+        torque_nm - smaller(plan.demanded_damping, most) * velocity
+    }
+
+    /// A torque within its limit, in the DAC's steps but under raw.
+    #[inline(never)]
+    fn given(&self, torque_nm: f32) -> f32 {
+        let plan = &self.plan;
         let most = plan.torque_max_nm;
-        if torque.abs() > most {
-            *reason = Reason::Torque;
-            torque = if torque > 0.0 { most } else { -most };
-        }
+        let torque = if torque_nm > most {
+            most
+        } else if torque_nm < -most {
+            -most
+        } else {
+            torque_nm
+        };
         if plan.law == Law::Raw {
             torque
         } else {
@@ -291,87 +345,92 @@ impl Controller {
     }
 
     /// The ledger.
-    #[inline]
-    fn ledgered(&mut self, reading: &Reading, step: &Step) -> (f32, Reason) {
+    #[inline(never)]
+    fn ledgered(&mut self, count: i32, moved: i32, duration_s: f32) -> Tick {
+        let step = self.look(count, moved, duration_s);
         let plan = &self.plan.ledger;
+        let tuning = self.plan.tuning();
+        let spring = plan.stiffness * step.reading.pull_rad;
         if step.seen {
-            self.ledger.enter(plan, step.moved as f32, step.duration_s);
+            self.ledger.enter(plan, &tuning, &step.interval);
         }
-        self.account(reading, step);
-        self.ledger_torque(reading, step)
-    }
-
-    #[inline]
-    fn account(&mut self, reading: &Reading, step: &Step) {
-        let plan = &self.plan;
-        self.ledger.account(
-            &plan.ledger,
-            &plan.tuning(),
-            step.seen,
-            step.moved,
-            step.duration_s,
-            plan.ledger.stiffness * reading.pull_rad,
-        );
-    }
-
-    #[inline]
-    fn ledger_torque(&mut self, reading: &Reading, step: &Step) -> (f32, Reason) {
-        let plan = &self.plan.ledger;
-        let spring = plan.stiffness * reading.pull_rad;
+        self.ledger.account(plan, &tuning, &step.interval, spring);
         let mut wanted = spring;
-        if plan.damping > 0.0 && !reading.free {
-            wanted -= plan.damping * (step.moved as f32 * step.count_speed);
+        if plan.damping > 0.0 && !step.reading.free {
+            wanted -= plan.damping * (step.interval.counts * step.count_speed);
         }
         let (torque, reason) = self
             .ledger
-            .torque(plan, &self.plan.tuning(), step.moved, wanted);
+            .torque(plan, &tuning, step.interval.counts, wanted);
         // Less than the whole torque is less than the whole stiffness.
         self.applied_nm_rad = if torque.abs() < spring.abs() {
-            let stiffness = torque / reading.pull_rad;
+            let stiffness = torque / step.reading.pull_rad;
             if stiffness > 0.0 { stiffness } else { 0.0 }
         } else {
             plan.stiffness
         };
-        (torque, reason)
+        self.told(&step, step.fast(), Law::Ledger, torque, reason)
     }
 
     /// The cheapest law that applies the whole demand, or the ledger.
-    #[inline]
-    fn automatic(&mut self, reading: &Reading, step: &Step) -> (f32, Reason) {
+    #[inline(never)]
+    fn automatic(&mut self, count: i32, moved: i32, duration_s: f32) -> Tick {
+        let first = !self.seen;
+        let step = self.look(count, moved, duration_s);
         let plan = &self.plan;
-        let demanded = plan.demanded_nm_rad();
         // The static limit holds the whole demand; or that of the speeds of the moment does.
         let plain = plan.limit_reason == Reason::None;
-        let cheap = plain
-            || (plan.episode_may_do
-                && step.seen
-                && demanded <= plan.criterion.largest_stiffness_at(step.fast));
-        let spring_law = if plain { Law::Static } else { Law::Episode };
-        if step.seen && !(plain && self.in_force == Law::Static) {
-            self.ledger
-                .enter(&plan.ledger, step.moved as f32, step.duration_s);
-        }
-        if self.in_force != Law::Ledger {
-            if cheap {
-                return self.plain_spring(spring_law, reading, step);
+        let episode = plan.episode_may_do
+            && step.seen
+            && plan.demanded_nm_rad() <= plan.criterion.largest_stiffness_at(step.fast());
+        if plain || episode {
+            if self.in_force != Law::Ledger || self.may_hand_over(plain, &step) {
+                if self.in_force == Law::Ledger {
+                    self.unpaid_j = self.unpaid_j(&step);
+                }
+                self.in_force = if plain { Law::Static } else { Law::Episode };
+                self.applied_nm_rad = self.plan.demanded_nm_rad();
+                let (torque, limited) = self.spring_torque(&step);
+                let reason = if limited {
+                    Reason::Torque
+                } else {
+                    Reason::None
+                };
+                self.ledger.held_nm = torque;
+                return self.told(&step, step.fast(), self.in_force, torque, reason);
             }
+        } else if self.in_force != Law::Ledger {
             // The speed has grown beyond what the spring is good for: the ledger takes over, as
             // of the last tick, with what the spring stored.
-            let stored_j = self.stored_j(step.before);
-            self.ledger.take_over(&self.plan.ledger, stored_j);
+            let stored_j = self.stored_j(count.wrapping_sub(moved));
+            self.ledger = Ledger::new(&self.plan.ledger, self.ledger.held_nm, stored_j);
             self.in_force = Law::Ledger;
         }
-        self.account(reading, step);
-        if cheap && self.may_hand_over(plain, reading, step) {
-            let furthest = reading.deflection_rad.abs() + self.plan.ledger.mechanics.half_count_rad;
-            self.unpaid_j = if reading.free {
-                0.0
-            } else {
-                0.5 * demanded * (furthest * furthest)
-            };
-            return self.plain_spring(spring_law, reading, step);
+        self.seen = !first;
+        self.ledgered(count, moved, duration_s)
+    }
+
+    /// Whether the spring may follow the ledger: see the module.
+    #[inline]
+    fn may_hand_over(&self, plain: bool, step: &Step) -> bool {
+        let mechanics = &self.plan.ledger.mechanics;
+        let furthest = step.reading.deflection_rad.abs() + mechanics.half_count_rad;
+        step.reading.free
+            || (plain && furthest <= mechanics.count_rad)
+            || (step.seen
+                && step.moved == 0
+                && self.plan.demanded_nm_rad() * furthest <= mechanics.coulomb_low)
+    }
+
+    /// What a spring that follows the ledger stores at the most when it begins, J.
+    #[inline]
+    fn unpaid_j(&self, step: &Step) -> f32 {
+        if step.reading.free {
+            return 0.0;
         }
-        self.ledger_torque(reading, step)
+        let half = self.plan.ledger.mechanics.half_count_rad;
+        let furthest = step.reading.deflection_rad.abs() + half;
+        0.5 * self.plan.demanded_nm_rad() * (furthest * furthest)
     }
 
     /// What was put into the spring in force, at a count, J.
@@ -381,45 +440,38 @@ impl Controller {
         let paid = all - self.unpaid_j;
         if paid > 0.0 { paid } else { 0.0 }
     }
-
-    /// Whether the spring may follow the ledger: see the module.
-    #[inline]
-    fn may_hand_over(&self, plain: bool, reading: &Reading, step: &Step) -> bool {
-        let plan = &self.plan;
-        let mechanics = &plan.ledger.mechanics;
-        let deflection = reading.deflection_rad.abs();
-        if reading.free || (plain && deflection <= mechanics.half_count_rad) {
-            return true;
-        }
-        let furthest = deflection + mechanics.half_count_rad;
-        step.seen && step.moved == 0 && plan.demanded_nm_rad() * furthest <= mechanics.coulomb_low
-    }
-
-    #[inline]
-    fn plain_spring(&mut self, law: Law, reading: &Reading, step: &Step) -> (f32, Reason) {
-        self.in_force = law;
-        self.applied_nm_rad = self.plan.demanded_nm_rad();
-        let mut reason = Reason::None;
-        let torque = self.spring_torque(reading, step, &mut reason);
-        self.ledger.hold(&self.plan.ledger, torque);
-        (torque, reason)
-    }
 }
 
 /// What a tick sees of the time since the last.
 #[derive(Clone, Copy)]
 struct Step {
-    /// The count at the last tick.
-    before: i32,
+    /// The count.
+    count: i32,
     /// Counts moved.
     moved: i32,
-    duration_s: f32,
+    interval: Interval,
     /// The speed of one count in that time, rad/s.
     count_speed: f32,
-    /// The fastest mean speed that the counts allow, rad/s.
-    fast: f32,
+    /// The mean speed of the counts, rad/s.
+    speed: f32,
     /// There was a last tick.
     seen: bool,
+    reading: Reading,
+}
+
+impl Step {
+    /// The slowest mean speed that the counts allow, rad/s.
+    #[inline(always)]
+    fn slow(&self) -> f32 {
+        let slow = self.speed - self.count_speed;
+        if slow > 0.0 { slow } else { 0.0 }
+    }
+
+    /// The fastest.
+    #[inline(always)]
+    fn fast(&self) -> f32 {
+        self.interval.fast
+    }
 }
 
 #[cfg(test)]

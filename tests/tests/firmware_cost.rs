@@ -199,7 +199,10 @@ fn bench(shift: u32, arguments: &[String], changes: Changes) -> Bench {
 fn instructions(image: &Image, changes: Changes) -> usize {
     let (start, _) = image.function(&["Controller4tick"]);
     let reached = image.reached_from(start);
-    let ranges = reached.iter().map(|name| image.functions[*name]);
+    // Where the tick returns to: what others do with the functions it shares does not count.
+    let (caller, caller_size) = image.function(&["TIM2"]);
+    let reached = reached.iter().map(|name| image.functions[*name]);
+    let ranges = reached.chain([(caller, caller_size)]);
     let ranges: Vec<String> = ranges
         .map(|(at, size)| format!("{at:#x}+{size:#x}"))
         .collect();
@@ -220,9 +223,14 @@ fn instructions(image: &Image, changes: Changes) -> usize {
         let fields = line.split_once('[')?.1;
         u64::from_str_radix(fields.split('/').nth(1)?, 16).ok()
     });
-    let (mut most, mut now) = (0, 0);
+    let (mut most, mut now, mut inside) = (0, 0, false);
     for address in addresses {
-        now = if address == start { 1 } else { now + 1 };
+        if address == start {
+            (now, inside) = (0, true);
+        } else if (caller..caller + caller_size).contains(&address) {
+            inside = false;
+        }
+        now += usize::from(inside);
         most = most.max(now);
     }
     assert!(most > 10, "the trace is empty");
