@@ -213,6 +213,7 @@ impl<T: Real> Criterion<T> {
 
     /// (b − KT/2)·|ẋ| + (c − KΔ/2), (11) times |ẋ|, in Nm, for K in Nm/rad and a
     /// speed in rad/s. The display is passive at that speed while it is ≥ 0.
+    #[inline]
     pub fn power_margin_nm(&self, stiffness: T, speed: T) -> T {
         let half_stiffness = T::from(0.5) * stiffness;
         (self.device.viscous_nm_s_rad - half_stiffness * self.sampling.period_s) * speed.magnitude()

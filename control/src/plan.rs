@@ -6,7 +6,7 @@ use crate::encoder::EncoderConfig;
 use crate::error::{ConfigError, not_negative, positive};
 use crate::margin::effective_criterion;
 use crate::real::smaller;
-use crate::shape::Profile;
+use crate::shape::{Profile, Reading};
 use crate::tick::Reason;
 use crate::tuning::Tuning;
 
@@ -92,8 +92,9 @@ pub struct Plan {
     pub(crate) limit_nm_rad: f32,
     pub(crate) limit_reason: Reason,
     pub(crate) torque_max_nm: f32,
-    /// Neither virtual damping nor torque steps.
-    pub(crate) bare: bool,
+    /// Torques up to this need no more done to them, Nm: the limit, or −1 with virtual damping
+    /// or torque steps.
+    pub(crate) bare_up_to_nm: f32,
     /// T, s.
     period_s: f32,
     /// Δ/T, rad/s: the speed of one count per sample.
@@ -175,7 +176,11 @@ impl Plan {
                 Reason::None
             },
             torque_max_nm,
-            bare: damping == 0.0 && config.torque_step_nm == 0.0,
+            bare_up_to_nm: if damping == 0.0 && config.torque_step_nm == 0.0 {
+                torque_max_nm
+            } else {
+                -1.0
+            },
             period_s: timing.period_s as f32,
             periods_per_rad: positive(
                 "sample period / count (s/rad)",
@@ -227,6 +232,12 @@ impl Plan {
     #[must_use]
     pub fn count_speed_rad_s(&self) -> f32 {
         self.count_speed_rad_s
+    }
+
+    /// On the free side of a wall, or in a cell that touches the zero.
+    #[inline(always)]
+    pub(crate) fn at_zero_force(&self, reading: &Reading) -> bool {
+        reading.free || reading.deflection_rad.abs() <= self.ledger.mechanics.half_count_rad
     }
 
     /// The most virtual damping beside a stiffness, Nm s/rad: what leaves the margin at 0 or

@@ -190,7 +190,8 @@ impl Controller {
         let count = self.encoder.update(hardware_counter);
         let moved = count.wrapping_sub(before);
         match self.plan.law {
-            Law::Raw | Law::Static | Law::Episode => self.clamped(count, moved, duration_s),
+            Law::Static => self.fixed(count, moved, duration_s),
+            Law::Raw | Law::Episode => self.clamped(count, moved, duration_s),
             Law::Ledger => self.ledgered(count, moved, duration_s),
             Law::Auto => self.automatic(count, moved, duration_s),
         }
@@ -244,8 +245,49 @@ impl Controller {
         }
     }
 
-    /// The raw, the static and the episode law.
+    /// The static law. Its stiffness is at most 2b/Te, so the slow end of the speeds is the worse
+    /// one for the margin.
     #[inline(always)]
+    fn fixed(&mut self, count: i32, moved: i32, duration_s: f32) -> Tick {
+        self.seen = true;
+        let plan = &self.plan;
+        let reading = plan.profile.read(count);
+        let counts = moved as f32;
+        let slow = if counts.abs() > 1.0 {
+            (counts.abs() - 1.0) * plan.ledger.mechanics.count_rad / duration_s
+        } else {
+            0.0
+        };
+        let (mut stiffness, mut reason) = (plan.limit_nm_rad, plan.limit_reason);
+        if stiffness > self.applied_nm_rad && !plan.at_zero_force(&reading) {
+            stiffness = self.applied_nm_rad;
+            reason = Reason::ZeroForce;
+        }
+        self.applied_nm_rad = stiffness;
+        let mut torque_nm = stiffness * reading.pull_rad;
+        if torque_nm.abs() > plan.bare_up_to_nm {
+            let velocity = counts * plan.ledger.mechanics.count_rad / duration_s;
+            let limited;
+            (torque_nm, limited) = self.dressed(torque_nm, velocity, reading.free);
+            if limited {
+                reason = Reason::Torque;
+            }
+        }
+        self.ledger.held_nm = torque_nm;
+        Tick {
+            count,
+            moved,
+            torque_nm,
+            stiffness_nm_rad: stiffness,
+            margin_nm: self.plan.criterion.power_margin_nm(stiffness, slow),
+            account_j: 0.0,
+            law: Law::Static,
+            reason,
+        }
+    }
+
+    /// The raw and the episode law.
+    #[inline(never)]
     fn clamped(&mut self, count: i32, moved: i32, duration_s: f32) -> Tick {
         let step = self.look(count, moved, duration_s);
         let plan = &self.plan;
@@ -259,7 +301,9 @@ impl Controller {
             } else {
                 plan.criterion.largest_stiffness()
             };
-            if (step.seen && self.at_zero_force(&step)) || now < self.contact_limit_nm_rad {
+            if (step.seen && self.plan.at_zero_force(&step.reading))
+                || now < self.contact_limit_nm_rad
+            {
                 self.contact_limit_nm_rad = now;
             }
             if self.contact_limit_nm_rad < target {
@@ -267,7 +311,7 @@ impl Controller {
                 reason = Reason::Speed;
             }
         }
-        if target <= self.applied_nm_rad || self.at_zero_force(&step) {
+        if target <= self.applied_nm_rad || self.plan.at_zero_force(&step.reading) {
             self.applied_nm_rad = target;
         } else {
             reason = Reason::ZeroForce;
@@ -288,29 +332,29 @@ impl Controller {
         self.told(&step, fast, plan.law, torque, reason)
     }
 
-    /// The free side of a wall, or a cell that touches the zero.
-    #[inline(always)]
-    fn at_zero_force(&self, step: &Step) -> bool {
-        let half = self.plan.ledger.mechanics.half_count_rad;
-        step.reading.free || step.reading.deflection_rad.abs() <= half
-    }
-
     /// The profile's torque at the applied stiffness, with as much virtual damping as the stiffness
     /// leaves room for, within the torque limit; and whether that acts.
     #[inline(always)]
     fn spring_torque(&self, step: &Step) -> (f32, bool) {
         let plan = &self.plan;
         let torque = self.applied_nm_rad * step.reading.pull_rad;
-        if plan.bare && torque.abs() <= plan.torque_max_nm {
+        if torque.abs() <= plan.bare_up_to_nm {
             return (torque, false);
         }
-        let velocity = if step.reading.free {
-            0.0
+        let velocity = step.interval.counts * step.count_speed;
+        self.dressed(torque, velocity, step.reading.free)
+    }
+
+    /// A torque with virtual damping, but on the free side of a wall, within its limit; and
+    /// whether that acts.
+    #[inline(never)]
+    fn dressed(&self, torque_nm: f32, velocity: f32, free: bool) -> (f32, bool) {
+        let damped = if free {
+            torque_nm
         } else {
-            step.interval.counts * step.count_speed
+            self.damped(torque_nm, velocity)
         };
-        let damped = self.damped(torque, velocity);
-        let limited = damped.abs() > plan.torque_max_nm;
+        let limited = damped.abs() > self.plan.torque_max_nm;
         (self.given(damped), limited)
     }
 
