@@ -34,7 +34,7 @@
 
 use crate::motion::{Interval, Motion, Span, UNKNOWN_VELOCITY};
 use crate::plan::LedgerPlan;
-use crate::real::larger;
+use crate::real::{larger, smaller};
 use crate::root::root;
 use crate::tick::Reason;
 use crate::tuning::Tuning;
@@ -93,22 +93,21 @@ impl Ledger {
     /// Step 1: the tick that is over, `moved` counts in `duration_s`.
     #[inline(always)]
     pub fn enter(&mut self, plan: &LedgerPlan, tuning: &Tuning, interval: &Interval) {
+        let held = self.held_nm;
         let mut torque = Span {
-            low: self.held_nm,
-            high: self.held_nm,
+            low: held,
+            high: held,
         };
+        let mut strongest = held.abs();
         if plan.late {
             for other in [self.before_nm, self.lagging_nm] {
-                if other < torque.low {
-                    torque.low = other;
-                }
-                if other > torque.high {
-                    torque.high = other;
-                }
+                torque.low = smaller(torque.low, other);
+                torque.high = larger(torque.high, other);
+                strongest = larger(strongest, other.abs());
             }
         }
         self.motion
-            .follow(&plan.mechanics, tuning, interval, torque);
+            .follow(&plan.mechanics, tuning, interval, torque, strongest);
     }
 
     /// Steps 1 (with delay) to 3 for the tick entered last; `nominal_nm` is the profile's torque now.
@@ -156,10 +155,11 @@ impl Ledger {
         }
 
         // 3. No credit carried.
-        let passed = nominal_nm * self.nominal_nm < 0.0 && nominal_nm * moved < 0.0;
-        let apart = held * nominal_nm == 0.0;
-        if self.account_j > 0.0 && (apart || passed) && tuning.no_carry {
-            self.account_j = 0.0;
+        if self.account_j > 0.0 && tuning.no_carry {
+            let apart = held * nominal_nm == 0.0;
+            if apart || (nominal_nm * self.nominal_nm < 0.0 && nominal_nm * moved < 0.0) {
+                self.account_j = 0.0;
+            }
         }
         self.nominal_nm = nominal_nm;
     }

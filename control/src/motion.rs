@@ -211,7 +211,8 @@ impl Motion {
         self.contradicted
     }
 
-    /// The intervals after one of time, under torques within `torque`, Nm.
+    /// The intervals after one of time, under torques within `torque`, at most
+    /// `strongest` in magnitude, Nm.
     #[inline(always)]
     pub fn follow(
         &mut self,
@@ -219,13 +220,9 @@ impl Motion {
         tuning: &Tuning,
         interval: &Interval,
         torque: Span,
+        strongest: f32,
     ) {
         let duration_s = interval.duration_s;
-        let strongest = if -torque.low > torque.high {
-            -torque.low
-        } else {
-            torque.high
-        };
         // The most that friction can be: at the mean speed, and what the torque can add to it.
         let speed =
             interval.fast + (strongest + mechanics.coulomb_high) * duration_s * mechanics.mobility;
@@ -289,6 +286,8 @@ impl Motion {
     }
 
     /// a_hand = the largest of itself, `grown`, `seen` and c/2m.
+    #[cold]
+    #[inline(never)]
     fn raise_hand(&mut self, grown: f32, seen: f32, mechanics: &Mechanics) {
         let least = 0.5 * mechanics.coulomb_high * mechanics.mobility;
         let mut hand = self.hand_rad_s2;

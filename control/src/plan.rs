@@ -69,13 +69,14 @@ impl LedgerPlan {
     /// A torque cut towards zero to whole steps of the DAC, which then has nothing to round.
     #[inline]
     pub fn cut(&self, torque_nm: f32) -> f32 {
-        let steps = torque_nm * self.steps_per_nm;
-        // Beyond 2²⁴ steps an f32 is coarser than they are.
-        if self.step_nm > 0.0 && steps.abs() < 16_777_216.0 {
-            steps as i32 as f32 * self.step_nm
-        } else {
-            torque_nm
+        if self.step_nm > 0.0 {
+            let steps = torque_nm * self.steps_per_nm;
+            // Beyond 2²⁴ steps an f32 is coarser than they are.
+            if steps.abs() < 16_777_216.0 {
+                return steps as i32 as f32 * self.step_nm;
+            }
         }
+        torque_nm
     }
 }
 

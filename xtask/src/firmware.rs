@@ -51,8 +51,20 @@ fn has_target() -> bool {
     output.is_ok_and(|output| Path::new(String::from_utf8_lossy(&output.stdout).trim()).is_dir())
 }
 
-/// Builds the firmware for the emulated board.
+/// Builds the firmware for the emulated board, and once more with the ledger that looks four
+/// ticks back.
 pub fn build() -> Result<()> {
+    let way = way()?;
+    for (features, name) in [
+        ("emulator,four-ticks-back", "emulated-four-ticks-back"),
+        ("emulator", "emulated"),
+    ] {
+        build_image(&way, features, name)?;
+    }
+    Ok(())
+}
+
+fn build_image(way: &Way, features: &str, name: &str) -> Result<()> {
     let build = [
         "build",
         "--locked",
@@ -62,9 +74,9 @@ pub fn build() -> Result<()> {
         "-p",
         "firmware",
         "--features",
-        "emulator",
+        features,
     ];
-    let folder = match way()? {
+    let folder = match way {
         Way::Rustup => {
             run(cargo().env("DEFMT_LOG", "info").args(build))?;
             root().join("target")
@@ -90,8 +102,8 @@ pub fn build() -> Result<()> {
     let built = folder.join(TARGET).join("release/firmware");
     let place = root().join("target/firmware");
     std::fs::create_dir_all(&place)?;
-    let image = place.join("emulated.elf");
+    let image = place.join(format!("{name}.elf"));
     std::fs::copy(&built, &image).with_context(|| format!("cannot copy {}", built.display()))?;
-    eprintln!("xtask: built target/firmware/emulated.elf");
+    eprintln!("xtask: built target/firmware/{name}.elf");
     Ok(())
 }
