@@ -96,6 +96,9 @@ pub struct Report {
     pub account_j: [f64; 2],
     /// Changes of the direction of motion in the last eighth of `Scene::samples`.
     pub reversals_last_eighth: u64,
+    /// Peak speed in the last 2,000 samples of `Scene::samples` over that in the middle of the
+    /// run: below 1 the motion fades.
+    pub late_growth: f64,
 }
 
 /// Why a scene cannot be run.
@@ -208,6 +211,7 @@ impl Scene {
             ledger: Ledger::default(),
             account_j: [f64::INFINITY, f64::NEG_INFINITY],
             reversals_last_eighth: 0,
+            late_growth: 0.0,
         };
         // Motor work less friction: kinetic energy less the start's and less the hand's work.
         let mut given_j = 0.0;
@@ -286,6 +290,7 @@ impl Scene {
             }
         };
         report.end = state;
+        report.late_growth = peaks.late_growth();
         report.class = decided.unwrap_or_else(|| {
             let by_windows = peaks.classes(state.velocity.abs() * speed_counts).window;
             if report.samples < self.samples {

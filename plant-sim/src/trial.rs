@@ -106,6 +106,10 @@ pub struct Verdict {
 /// Rounding of the account in `f32`, as a part of the energy in play.
 const ROUNDING: f64 = 1e-6;
 
+/// A motion whose peaks fall to this part in half the run fades: a heavy hand that
+/// bounces with hardly any damping, for instance, is no cycle of the law's.
+const FADING: f64 = 0.9;
+
 /// A run is extended up to this many times its samples.
 const EXTENSION: u64 = 256;
 
@@ -194,6 +198,8 @@ impl Trial {
             Some(Fault::Growth)
         } else if excess_j > ROUNDING * scale_j {
             Some(Fault::GivenOut)
+        } else if report.late_growth < FADING {
+            None // it settles, however slowly
         } else if report.class == Class::LimitCycle {
             Some(Fault::LimitCycle)
         } else if report.class == Class::Undecided && !left {
