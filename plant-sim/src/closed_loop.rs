@@ -96,8 +96,8 @@ pub struct Report {
     pub account_j: [f64; 2],
     /// Changes of the direction of motion in the last eighth of `Scene::samples`.
     pub reversals_last_eighth: u64,
-    /// Peak speed in the last 2,000 samples of `Scene::samples` over that in the middle of the
-    /// run: below 1 the motion fades.
+    /// Peak speed in the last eighth of `Scene::samples` over that in the fourth: below 1 the
+    /// motion fades.
     pub late_growth: f64,
 }
 
@@ -219,10 +219,17 @@ impl Scene {
         let mut duration_s = self.clock.period_s;
         let mut time_s = 0.0;
         let mut peaks = Peaks::new(self.samples);
+        let eighth = self.samples / 8;
+        let (mut fourth_peak, mut last_peak) = (0.0_f64, 0.0_f64);
         let mut at_rest = 0;
         let mut direction = state.velocity;
         let decided = loop {
             let number = report.samples;
+            if number >= 7 * eighth {
+                last_peak = last_peak.max(state.velocity.abs());
+            } else if number >= 3 * eighth && number < 4 * eighth {
+                fourth_peak = fourth_peak.max(state.velocity.abs());
+            }
             peaks.enter(number, state.velocity.abs() * speed_counts);
             if at_rest == REST_SAMPLES {
                 break Some(Class::Rest);
@@ -290,7 +297,11 @@ impl Scene {
             }
         };
         report.end = state;
-        report.late_growth = peaks.late_growth();
+        report.late_growth = if fourth_peak > 0.0 {
+            last_peak / fourth_peak
+        } else {
+            0.0
+        };
         report.class = decided.unwrap_or_else(|| {
             let by_windows = peaks.classes(state.velocity.abs() * speed_counts).window;
             if report.samples < self.samples {

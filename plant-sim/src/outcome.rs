@@ -104,12 +104,6 @@ impl Peaks {
         }
     }
 
-    /// Peak speed of the last window over that of the middle one: below 1 the motion fades.
-    pub(crate) fn late_growth(&self) -> f64 {
-        let [_, middle, last] = self.peak;
-        if middle > 0.0 { last / middle } else { 0.0 }
-    }
-
     /// The classes of a run that went on to its last sample without coming to rest or
     /// diverging, and is at `speed` there.
     pub(crate) fn classes(&self, speed: f64) -> Classes {
