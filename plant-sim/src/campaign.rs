@@ -35,9 +35,9 @@ pub enum Kind {
     Loop,
     /// The four above; demand, law, shape and centre change at random times.
     Changes,
-    /// A hand of 1e-6 to 1e-3 kg m² and 1e-5 to 1e-2 Nm s/rad leans on a wall with 0.3 c to 60 c.
+    /// A hand of 1e-6 to 1e-4 kg m² and 1e-5 to 1e-2 Nm s/rad leans on a wall with 0.3 c to 60 c.
     Push,
-    /// The same hand with a spring of 1e-3 to 2 Nm/rad, in contact with any shape.
+    /// Such a hand of up to 1e-3 kg m² with a spring of 1e-3 to 2 Nm/rad, in contact with any shape.
     Hand,
 }
 
@@ -125,9 +125,10 @@ impl Draw {
         }
     }
 
-    fn hand(&mut self) -> Hand {
+    /// A hand with up to so much inertia.
+    fn hand(&mut self, inertia_kg_m2: f64) -> Hand {
         Hand {
-            inertia_kg_m2: self.log(1e-6, 1e-3),
+            inertia_kg_m2: self.log(1e-6, inertia_kg_m2),
             damping_nm_s_rad: self.log(1e-5, 1e-2),
             ..Hand::default()
         }
@@ -179,11 +180,11 @@ impl Draw {
         match kind {
             Kind::Loop => self.imperfections(&mut scene),
             Kind::Push => {
-                scene.hand = self.hand();
+                scene.hand = self.hand(1e-4);
                 scene.hand.push_nm = self.log(0.3, 60.0) * sampled.device.coulomb_nm;
             }
             Kind::Hand => {
-                scene.hand = self.hand();
+                scene.hand = self.hand(1e-3);
                 scene.hand.stiffness_nm_rad = self.log(1e-3, 2.0);
                 scene.hand.rest_rad = start.position;
             }

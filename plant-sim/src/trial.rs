@@ -178,10 +178,13 @@ impl Trial {
         let away = edge - 2.0 * scene.config.count_rad();
         let mut end_torque_nm = 0.0;
         let mut left = false;
-        // Reversals in each run of `samples`, to tell a cycle long before the end.
+        let mut touched = 0;
         let report = scene.run_under(control, |sample| {
             end_torque_nm = f64::from(sample.tick.torque_nm);
             let State { position, velocity } = sample.state;
+            if sample.tick.torque_nm != 0.0 {
+                touched = sample.number;
+            }
             left = position < away
                 && velocity <= 0.0
                 && sample.tick.torque_nm == 0.0
@@ -198,8 +201,8 @@ impl Trial {
             Some(Fault::Growth)
         } else if excess_j > ROUNDING * scale_j {
             Some(Fault::GivenOut)
-        } else if report.late_growth < FADING {
-            None // it settles, however slowly
+        } else if report.late_growth < FADING || touched < scene.samples / 8 * 7 {
+            None // it settles, however slowly, or flies where nothing is rendered
         } else if report.class == Class::LimitCycle {
             Some(Fault::LimitCycle)
         } else if report.class == Class::Undecided && !left {
