@@ -22,6 +22,7 @@ use crate::config::Law;
 use crate::encoder::Encoder;
 use crate::ledger::Ledger;
 use crate::margin::reachable_speed_rad_s;
+use crate::motion::Motion;
 use crate::plan::Plan;
 use crate::real::smaller;
 use crate::shape::Reading;
@@ -180,13 +181,11 @@ impl Controller {
         self.encoder.hardware_count()
     }
 
-    #[doc(hidden)]
-    pub fn debug(&self) -> impl core::fmt::Debug {
-        (
-            self.ledger.motion.position(),
-            self.ledger.motion.velocity(),
-            self.ledger.motion.hand_rad_s2(),
-        )
+    /// Where the counts say that the knob is and how fast, as of the last tick; none where the
+    /// law in force does not follow it.
+    #[must_use]
+    pub fn motion(&self) -> Option<&Motion> {
+        (self.in_force == Law::Ledger).then_some(&self.ledger.motion)
     }
 
     /// The plan in force.
