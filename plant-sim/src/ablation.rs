@@ -18,7 +18,7 @@ use crate::trial::{EXTENSION, Sampled, Trial, abbott_okamura};
 /// Runs of the suite are extended up to this many times their 4,000 samples, and random ones without a
 /// hand: those without an end are many, and what ends does so sooner.
 const SUITE_EXTENSION: u64 = 64;
-const FREE_EXTENSION: u64 = 256;
+const FREE_EXTENSION: u64 = 64;
 
 /// Runs of a kind made between two looks at how many were bad.
 const CHUNK: u64 = 250;
@@ -256,6 +256,7 @@ pub fn measure(
             } else {
                 EXTENSION
             },
+            hasty: true,
             ..Campaign::new(seed, Law::Ledger)
         };
         let mut tally = Tally::default();
@@ -312,6 +313,7 @@ fn suite(sampled: &Sampled) -> Vec<(Part, Trial)> {
         ),
         history: 9,
         extension: SUITE_EXTENSION,
+        hasty: true,
     };
     let mut trials = Vec::new();
     for speed in [0.1, 0.3, 1.0, 3.0, 10.0, 30.0] {

@@ -211,6 +211,7 @@ impl Draw {
             scene,
             history,
             extension: EXTENSION,
+            hasty: false,
         }
     }
 
@@ -302,22 +303,21 @@ impl Draw {
     /// # Errors
     /// See [`SceneError`]; none of what is drawn is refused.
     pub fn run(&mut self, kind: Kind, law: Law) -> Result<Verdict, SceneError> {
-        self.run_tuned(kind, law, Tuning::DEFAULT, EXTENSION)
+        self.run_tuned(kind, law, Tuning::DEFAULT, EXTENSION, false)
     }
 
     /// The same with other constants of the ledger, extended up to so many times, for studies.
-    ///
-    /// # Errors
-    /// See [`SceneError`].
-    pub fn run_tuned(
+    fn run_tuned(
         &mut self,
         kind: Kind,
         law: Law,
         tuning: Tuning,
         extension: u64,
+        hasty: bool,
     ) -> Result<Verdict, SceneError> {
         let trial = Trial {
             extension,
+            hasty,
             ..self.trial(kind, law)
         };
         if kind == Kind::Changes {
@@ -397,6 +397,8 @@ pub struct Campaign {
     pub tuning: Tuning,
     /// A run is extended up to this many times its 4,000 samples.
     pub extension: u64,
+    /// A run ends when it is plainly bad: see [`Trial::hasty`].
+    pub hasty: bool,
 }
 
 impl Campaign {
@@ -408,6 +410,7 @@ impl Campaign {
             law,
             tuning: Tuning::DEFAULT,
             extension: EXTENSION,
+            hasty: false,
         }
     }
 
@@ -429,7 +432,8 @@ impl Campaign {
                 return Ok(None);
             }
             let mut draw = Draw::new(self.seed, kind, number);
-            let verdict = draw.run_tuned(kind, self.law, self.tuning, self.extension)?;
+            let verdict =
+                draw.run_tuned(kind, self.law, self.tuning, self.extension, self.hasty)?;
             seen(verdict.fault.is_some());
             Ok(Some(verdict))
         };

@@ -79,7 +79,12 @@ pub struct Trial {
     pub history: u32,
     /// A run is extended up to this many times its samples.
     pub extension: u64,
+    /// A run ends when it has given out [`PLAINLY`] of the energy in play, so that growth is not told apart.
+    pub hasty: bool,
 }
+
+/// As much of the energy in play, given out, is no rounding.
+const PLAINLY: f64 = 1e-3;
 
 /// What is wrong with a run of a law that ought to be passive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -271,6 +276,13 @@ impl Trial {
         let mut end_torque_nm = 0.0;
         let mut settled = false;
         let mut standing = 0;
+        let mut furthest = 0.0_f64;
+        let scale_j = |furthest_rad: f64| {
+            0.5 * scene.device.inertia_kg_m2 * scene.start.velocity.powi(2)
+                + stored_j
+                + scene.device.coulomb_nm * scene.config.count_rad()
+                + scene.hand.push_nm.abs() * (furthest_rad + scene.start.position.abs())
+        };
         let report = scene.run_under(control, |sample| {
             let torque_nm = f64::from(sample.tick.torque_nm);
             let State { position, velocity } = sample.state;
@@ -282,14 +294,13 @@ impl Trial {
             end_torque_nm = torque_nm;
             let left = position < away && velocity <= 0.0 && torque_nm == 0.0 && sample.number > 0;
             settled = left || standing == SETTLED_TICKS;
-            observe(sample) && !settled
+            furthest = furthest.max(position.abs());
+            let given_j = sample.motor_work_j - sample.friction_j - stored_j;
+            let plainly = self.hasty && given_j > PLAINLY * scale_j(furthest);
+            observe(sample) && !settled && !plainly
         })?;
-        let kinetic = 0.5 * scene.device.inertia_kg_m2 * scene.start.velocity.powi(2);
         let excess_j = report.given_out_j - stored_j;
-        let scale_j = kinetic
-            + stored_j
-            + scene.device.coulomb_nm * scene.config.count_rad()
-            + scene.hand.push_nm.abs() * (report.peak_angle_rad + scene.start.position.abs());
+        let scale_j = scale_j(report.peak_angle_rad);
         let fault = if report.class == Class::Unstable {
             Some(Fault::Growth)
         } else if excess_j > ROUNDING * scale_j {
