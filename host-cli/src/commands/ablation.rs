@@ -24,7 +24,7 @@ use crate::stop::{self, Stopped};
 )]
 pub struct Args {
     /// Random runs of each kind
-    #[arg(long, default_value_t = 5_000, value_parser = number::count)]
+    #[arg(long, default_value_t = 3_000, value_parser = number::count)]
     runs: u64,
     /// Another seed, other runs
     #[arg(long, default_value_t = 1)]
