@@ -20,11 +20,11 @@ use crate::stop::{self, Stopped};
 /// bad runs is not run further.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  knob ablation --runs 1000\n  knob ablation --out docs/ablation --force"
+    after_help = "Examples:\n  knob ablation --runs 5000\n  knob ablation --out docs/ablation --force"
 )]
 pub struct Args {
     /// Random runs of each kind
-    #[arg(long, default_value_t = 3_000, value_parser = number::count)]
+    #[arg(long, default_value_t = 600, value_parser = number::count)]
     runs: u64,
     /// Another seed, other runs
     #[arg(long, default_value_t = 1)]
