@@ -24,7 +24,7 @@ use crate::config::Law;
 use crate::encoder::Encoder;
 use crate::ledger::Ledger;
 use crate::margin::reachable_speed_rad_s;
-use crate::motion::Interval;
+use crate::motion::{Interval, Motion};
 use crate::plan::Plan;
 use crate::real::smaller;
 use crate::shape::Reading;
@@ -175,6 +175,13 @@ impl Controller {
     #[must_use]
     pub fn hardware_count(&self) -> i32 {
         self.encoder.hardware_count()
+    }
+
+    /// Where the counts say that the knob is and how fast, as of the last tick; none where the
+    /// law in force does not follow it.
+    #[must_use]
+    pub fn motion(&self) -> Option<&Motion> {
+        (self.in_force == Law::Ledger).then_some(&self.ledger.motion)
     }
 
     /// The plan in force.

@@ -310,9 +310,7 @@ fn fault(fault: Fault) -> protocol::Fault {
     }
 }
 
-/// A reason as it goes over the wire.
-#[must_use]
-pub fn clamp_reason(reason: Reason) -> ClampReason {
+fn clamp_reason(reason: Reason) -> ClampReason {
     match reason {
         Reason::None => ClampReason::None,
         Reason::Viscous => ClampReason::Viscous,

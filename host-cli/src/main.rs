@@ -38,6 +38,8 @@ enum Command {
     Map(commands::map::Args),
     Plan(commands::plan::Args),
     Figures(commands::figures::Args),
+    Campaign(commands::campaign::Args),
+    Ablation(commands::ablation::Args),
     Emulate(commands::emulate::Args),
     Demo(commands::demo::Args),
     Ports(commands::ports::Args),
@@ -67,6 +69,8 @@ fn main() -> ExitCode {
         Command::Map(args) => commands::map::run(&args),
         Command::Plan(args) => commands::plan::run(&args),
         Command::Figures(args) => commands::figures::run(&args),
+        Command::Campaign(args) => commands::campaign::run(&args),
+        Command::Ablation(args) => commands::ablation::run(&args),
         Command::Emulate(args) => commands::emulate::run(&args),
         Command::Demo(args) => commands::demo::run(&args),
         Command::Ports(args) => commands::ports::run(&args),
@@ -81,7 +85,11 @@ fn main() -> ExitCode {
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) if error.is::<stop::Stopped>() || error.is::<stop::Ended>() => {
+        Err(error)
+            if error.is::<stop::Stopped>()
+                || error.is::<stop::Interrupted>()
+                || error.is::<stop::Ended>() =>
+        {
             eprintln!("{error:#}");
             ExitCode::from(130)
         }

@@ -15,6 +15,17 @@ pub fn bar(total: u64, what: &'static str) -> ProgressBar {
     bar
 }
 
+/// A bar over runs, of which so many are done, with their rate.
+pub fn runs(total: u64, done: u64, what: &'static str) -> ProgressBar {
+    let bar = bar(total, what);
+    if let Ok(style) = ProgressStyle::with_template(RUNS) {
+        bar.set_style(style);
+    }
+    bar.with_position(done)
+}
+
+const RUNS: &str = "{msg} {bar:40} {percent:>3} %, {per_sec}, {eta} left";
+
 const TEMPLATE: &str = "{msg} {bar:40} {percent:>3} %, {eta} left";
 
 #[cfg(test)]
@@ -24,5 +35,6 @@ mod tests {
     #[test]
     fn the_template_is_one() {
         assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
+        assert!(ProgressStyle::with_template(RUNS).is_ok());
     }
 }

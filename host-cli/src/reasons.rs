@@ -2,7 +2,7 @@
 
 use control::config::Law;
 use control::tick::Reason;
-use firmware::desk::clamp_reason;
+use protocol::ClampReason;
 
 use crate::words;
 
@@ -25,4 +25,20 @@ pub fn code(reason: Reason) -> &'static str {
 /// Why less is applied than demanded, in words.
 pub fn words(reason: Reason) -> &'static str {
     words::clamp(clamp_reason(reason))
+}
+
+/// The same reason as a device says it.
+fn clamp_reason(reason: Reason) -> ClampReason {
+    match reason {
+        Reason::None => ClampReason::None,
+        Reason::Viscous => ClampReason::Viscous,
+        Reason::Coulomb => ClampReason::Coulomb,
+        Reason::Speed => ClampReason::Speed,
+        Reason::ZeroForce => ClampReason::ZeroForce,
+        Reason::Torque => ClampReason::Torque,
+        Reason::Inertia => ClampReason::Inertia,
+        Reason::Coarse => ClampReason::Coarse,
+        Reason::Account => ClampReason::Account,
+        Reason::Hand => ClampReason::Hand,
+    }
 }

@@ -11,6 +11,11 @@ static STOP: AtomicBool = AtomicBool::new(false);
 #[error("stopped; nothing was written")]
 pub struct Stopped;
 
+/// The user stopped work that can go on; the process exits with 130.
+#[derive(Debug, thiserror::Error)]
+#[error("stopped; {0} holds what was done, and the same command goes on from there")]
+pub struct Interrupted(pub String);
+
 /// The user ended what ends no other way; the process exits with 130.
 #[derive(Debug, thiserror::Error)]
 #[error("ended")]

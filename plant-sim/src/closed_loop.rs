@@ -57,6 +57,10 @@ pub struct Sample {
     pub state: State,
     /// The controller's answer.
     pub tick: Tick,
+    /// Work of the motor until now, J.
+    pub motor_work_j: f64,
+    /// What the knob's friction has taken until now, J.
+    pub friction_j: f64,
 }
 
 /// What a run did. Energies in J.
@@ -215,6 +219,7 @@ impl Scene {
         };
         // Motor work less friction: kinetic energy less the start's and less the hand's work.
         let mut given_j = 0.0;
+        let (mut motor_work_j, mut friction_j) = (0.0, 0.0);
         let mut ticks = self.clock.ticks(self.seed);
         let mut duration_s = self.clock.period_s;
         let mut time_s = 0.0;
@@ -261,6 +266,8 @@ impl Scene {
                 time_s,
                 state,
                 tick,
+                motor_work_j,
+                friction_j,
             }) {
                 break None;
             }
@@ -275,6 +282,8 @@ impl Scene {
                 dissipated: interval.friction_j,
             });
             given_j += interval.motor_work_j - interval.friction_j;
+            motor_work_j += interval.motor_work_j;
+            friction_j += interval.friction_j;
             report.given_out_j = report.given_out_j.max(given_j);
             report.hand_work_j += interval.hand_work_j;
             report.peak_angle_rad = report.peak_angle_rad.max(interval.furthest_rad);

@@ -13,12 +13,15 @@
 //! - [`knob`]: the plant with what a real one adds, each opt-in: a [`hand`] that holds it,
 //!   a [`drive`] that delays, lags and rounds the torque, a [`clock`] that is not even;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
+//! - [`trial`], [`campaign`], [`search`], [`ablation`]: systematic, random and climbing runs of a law, and of
+//!   the law without one of its parts;
 //! - [`preset`]: devices known by name.
 //!
 //! Everything is `f64`. Equation numbers in parentheses are those of Diolaiti, Niemeyer,
 //! Barbagli, Salisbury, "A Criterion for the Passivity of Haptic Devices" (2005).
 #![forbid(unsafe_code)]
 
+pub mod ablation;
 pub mod campaign;
 pub mod clock;
 pub mod closed_loop;
@@ -34,6 +37,7 @@ pub mod lockstep;
 pub mod map;
 pub mod outcome;
 pub mod preset;
+pub mod search;
 mod series;
 mod sprung;
 pub mod trial;

@@ -1,15 +1,19 @@
 //! Random and systematic runs of a law, and what counts as bad.
 
+use std::cell::Cell;
+
 use control::ConfigError;
 use control::config::{Believed, Config, Law, Timing};
 use control::criterion::Device;
 use control::encoder::EncoderConfig;
+use control::motion::Motion;
 use control::plan::Plan;
 use control::shape::Shape;
 use control::tick::{Controller, Tick};
+use control::tuning::Tuning;
 
 use crate::clock::Clock;
-use crate::closed_loop::{Potential, Report, Scene, SceneError};
+use crate::closed_loop::{Potential, Report, Sample, Scene, SceneError};
 use crate::drive::Drive;
 use crate::hand::Hand;
 use crate::hold::State;
@@ -73,7 +77,14 @@ pub struct Trial {
     pub scene: Scene,
     /// Ticks of free motion at the start's velocity that the controller has seen before.
     pub history: u32,
+    /// A run is extended up to this many times its samples.
+    pub extension: u64,
+    /// A run ends when it has given out [`PLAINLY`] of the energy in play, so that growth is not told apart.
+    pub hasty: bool,
 }
+
+/// As much of the energy in play, given out, is no rounding.
+const PLAINLY: f64 = 1e-3;
 
 /// What is wrong with a run of a law that ought to be passive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -103,15 +114,51 @@ pub struct Verdict {
     pub fault: Option<Fault>,
 }
 
+impl Verdict {
+    /// Energy given out as a share of the energy in play; above [`ROUNDING`] it is a violation.
+    #[must_use]
+    pub fn excess(&self) -> f64 {
+        self.excess_j / self.scale_j
+    }
+}
+
+impl Fault {
+    /// All of them.
+    pub const ALL: [Self; 4] = [
+        Self::Growth,
+        Self::GivenOut,
+        Self::LimitCycle,
+        Self::Unsettled,
+    ];
+
+    /// As scripts see it.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Growth => "growth",
+            Self::GivenOut => "given-out",
+            Self::LimitCycle => "limit-cycle",
+            Self::Unsettled => "unsettled",
+        }
+    }
+}
+
 /// Rounding of the account in `f32`, as a part of the energy in play.
-const ROUNDING: f64 = 1e-6;
+pub const ROUNDING: f64 = 1e-6;
+
+/// As far as a run is extended, unless told otherwise.
+pub const EXTENSION: u64 = 256;
 
 /// A motion whose peaks fall to this part in half the run fades: a heavy hand that
 /// bounces with hardly any damping, for instance, is no cycle of the law's.
 const FADING: f64 = 0.9;
 
-/// A run is extended up to this many times its samples.
-const EXTENSION: u64 = 256;
+/// A knob that creeps by less than this, counts per tick, under a torque that does not change for
+/// [`SETTLED_TICKS`], stands: of a hand's spring it would never come to rest in floating point.
+const CREEPING_COUNTS: f64 = 1e-9;
+
+/// Ticks that tell that it stands.
+const SETTLED_TICKS: u32 = 100;
 
 impl Trial {
     /// Runs the trial under the controller of its configuration.
@@ -122,41 +169,81 @@ impl Trial {
         self.run_plan(Plan::new(&self.scene.config)?)
     }
 
+    /// The same with other constants of the ledger, for studies.
+    ///
+    /// # Errors
+    /// See [`SceneError`].
+    pub fn run_tuned(&self, tuning: Tuning) -> Result<Verdict, SceneError> {
+        self.run_plan(Plan::with_tuning(&self.scene.config, tuning)?)
+    }
+
     /// The same with a plan made elsewhere, for studies.
     ///
     /// # Errors
     /// See [`SceneError`].
     pub fn run_plan(&self, plan: Plan) -> Result<Verdict, SceneError> {
+        let mut controller = self.controller(plan)?;
+        self.run_under(
+            |counter, duration_s| controller.tick(counter, duration_s),
+            self.stored_j(&plan),
+        )
+    }
+
+    /// The same; `observe` sees every sample and what the controller believed of the motion in it,
+    /// and may end the run by returning false.
+    ///
+    /// # Errors
+    /// See [`SceneError`].
+    pub fn watch(
+        &self,
+        plan: Plan,
+        mut observe: impl FnMut(&Sample, Option<&Motion>) -> bool,
+    ) -> Result<Verdict, SceneError> {
+        let mut controller = self.controller(plan)?;
+        let believed = Cell::new(None);
+        self.watch_under(
+            |counter, duration_s| {
+                let tick = controller.tick(counter, duration_s);
+                believed.set(controller.motion().copied());
+                tick
+            },
+            self.stored_j(&plan),
+            |sample| observe(sample, believed.get().as_ref()),
+        )
+    }
+
+    /// A controller that has seen the history.
+    fn controller(&self, plan: Plan) -> Result<Controller, SceneError> {
         let scene = &self.scene;
         let count = |tick: u32| {
             let past = f64::from(tick) * scene.clock.period_s * scene.start.velocity;
             ((scene.start.position - past) / scene.config.hardware_count_rad).floor() as i64 as i32
         };
-        let mut controller = scene.controller(plan);
-        if self.history > 0 {
-            // Nothing demanded, so the torque is off.
-            let idle = Config {
-                stiffness_nm_rad: 0.0,
-                damping_nm_s_rad: 0.0,
-                ..scene.config
-            };
-            controller = Controller::new(Plan::new(&idle)?, count(self.history + 1));
-            for tick in (1..=self.history).rev() {
-                let _ = controller.tick(count(tick) as u32, scene.clock.period_s as f32);
-            }
-            controller.adopt(plan);
+        if self.history == 0 {
+            return Ok(scene.controller(plan));
         }
-        let at_rest = self.history == 0 && scene.start.velocity == 0.0;
-        let stored_j = if at_rest {
-            let potential = Potential::new(&scene.config.shape, scene.config.count_rad());
-            plan.applied_limit_nm_rad() * potential.per_stiffness(scene.start.position)
-        } else {
-            0.0
+        // Nothing demanded, so the torque is off.
+        let idle = Config {
+            stiffness_nm_rad: 0.0,
+            damping_nm_s_rad: 0.0,
+            ..scene.config
         };
-        self.run_under(
-            |counter, duration_s| controller.tick(counter, duration_s),
-            stored_j,
-        )
+        let mut controller = Controller::new(Plan::new(&idle)?, count(self.history + 1));
+        for tick in (1..=self.history).rev() {
+            let _ = controller.tick(count(tick) as u32, scene.clock.period_s as f32);
+        }
+        controller.adopt(plan);
+        Ok(controller)
+    }
+
+    /// What the spring stores at the start, as far as the controller may know of it.
+    pub(crate) fn stored_j(&self, plan: &Plan) -> f64 {
+        let scene = &self.scene;
+        if self.history > 0 || scene.start.velocity != 0.0 {
+            return 0.0;
+        }
+        let potential = Potential::new(&scene.config.shape, scene.config.count_rad());
+        plan.applied_limit_nm_rad() * potential.per_stiffness(scene.start.position)
     }
 
     /// Runs the trial under any control that has `stored_j` in its spring at the start.
@@ -168,35 +255,59 @@ impl Trial {
         control: impl FnMut(u32, f32) -> Tick,
         stored_j: f64,
     ) -> Result<Verdict, SceneError> {
+        self.watch_under(control, stored_j, |_| true)
+    }
+
+    /// The same; `observe` sees every sample and may end the run by returning false.
+    ///
+    /// # Errors
+    /// See [`SceneError`].
+    pub fn watch_under(
+        &self,
+        control: impl FnMut(u32, f32) -> Tick,
+        stored_j: f64,
+        mut observe: impl FnMut(&Sample) -> bool,
+    ) -> Result<Verdict, SceneError> {
         let mut scene = self.scene;
-        let samples = scene.samples;
-        scene.samples = samples * EXTENSION;
+        scene.samples *= self.extension;
         let edge = match scene.config.shape {
             Shape::Wall { edge_rad } if scene.hand == Hand::default() => edge_rad,
             _ => f64::NEG_INFINITY,
         };
         let away = edge - 2.0 * scene.config.count_rad();
+        let creeping = CREEPING_COUNTS * scene.config.count_rad() / scene.clock.period_s;
         let mut end_torque_nm = 0.0;
-        let mut left = false;
         let mut touched = 0;
+        let mut settled = false;
+        let mut standing = 0;
+        let mut furthest = 0.0_f64;
+        let scale_j = |furthest_rad: f64| {
+            0.5 * scene.device.inertia_kg_m2 * scene.start.velocity.powi(2)
+                + stored_j
+                + scene.device.coulomb_nm * scene.config.count_rad()
+                + scene.hand.push_nm.abs() * (furthest_rad + scene.start.position.abs())
+        };
         let report = scene.run_under(control, |sample| {
-            end_torque_nm = f64::from(sample.tick.torque_nm);
+            let torque_nm = f64::from(sample.tick.torque_nm);
             let State { position, velocity } = sample.state;
-            if sample.tick.torque_nm != 0.0 {
+            if torque_nm != 0.0 {
                 touched = sample.number;
             }
-            left = position < away
-                && velocity <= 0.0
-                && sample.tick.torque_nm == 0.0
-                && sample.number > 0;
-            !left
+            if velocity.abs() < creeping && torque_nm == end_torque_nm {
+                standing += 1;
+            } else {
+                standing = 0;
+            }
+            end_torque_nm = torque_nm;
+            let left = position < away && velocity <= 0.0 && torque_nm == 0.0 && sample.number > 0;
+            settled = left || standing == SETTLED_TICKS;
+            furthest = furthest.max(position.abs());
+            let given_j = sample.motor_work_j - sample.friction_j - stored_j;
+            let plainly = self.hasty && given_j > PLAINLY * scale_j(furthest);
+            observe(sample) && !settled && !plainly
         })?;
-        let kinetic = 0.5 * scene.device.inertia_kg_m2 * scene.start.velocity.powi(2);
         let excess_j = report.given_out_j - stored_j;
-        let scale_j = kinetic
-            + stored_j
-            + scene.device.coulomb_nm * scene.config.count_rad()
-            + scene.hand.push_nm.abs() * (report.peak_angle_rad + scene.start.position.abs());
+        let scale_j = scale_j(report.peak_angle_rad);
         let fault = if report.class == Class::Unstable {
             Some(Fault::Growth)
         } else if excess_j > ROUNDING * scale_j {
@@ -205,7 +316,7 @@ impl Trial {
             None // it settles, however slowly, or flies where nothing is rendered
         } else if report.class == Class::LimitCycle {
             Some(Fault::LimitCycle)
-        } else if report.class == Class::Undecided && !left {
+        } else if report.class == Class::Undecided && !settled {
             Some(Fault::Unsettled)
         } else {
             None

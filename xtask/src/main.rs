@@ -32,6 +32,10 @@ enum Task {
     },
     /// Compute the paper's figures and write them to target/figures/
     Figures,
+    /// Run the random campaigns and the search for violations in full, and keep their state in target/campaign/
+    Campaign,
+    /// Take each part out of the energy ledger in turn, and write docs/ablation.md
+    Ablation,
     /// Run every test, those of the firmware in the emulator too
     Test,
     /// Measure flash, RAM, stack and the tick's instructions, and write firmware/size.txt
@@ -46,6 +50,8 @@ fn main() -> ExitCode {
         Task::Firmware => firmware::build(),
         Task::Demo { hold, json } => demo(hold, json),
         Task::Figures => knob(&["figures", "--out", "target/figures", "--force"]),
+        Task::Campaign => campaign(),
+        Task::Ablation => knob(&["ablation", "--out", "docs/ablation", "--force"]),
         Task::Test => test(),
         Task::Size => size(),
         Task::Check => check(),
@@ -90,6 +96,20 @@ fn demo(hold: bool, json: bool) -> Result<()> {
     arguments.extend(hold.then_some("--hold"));
     arguments.extend(json.then_some("--json"));
     knob(&arguments)
+}
+
+/// Goes on where it was stopped. All of it is run, whatever fails.
+fn campaign() -> Result<()> {
+    std::fs::create_dir_all("target/campaign")?;
+    let mut done = Ok(());
+    for law in ["auto", "ledger"] {
+        let state = format!("target/campaign/{law}.json");
+        let common = ["campaign", "--law", law, "--state", &state];
+        for more in [&[][..], &["--search", "200000"]] {
+            done = done.and(knob(&[&common[..], more].concat()));
+        }
+    }
+    done
 }
 
 fn test() -> Result<()> {

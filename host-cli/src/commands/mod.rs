@@ -1,5 +1,7 @@
 //! One module per subcommand: its flags, and what it does.
 
+pub mod ablation;
+pub mod campaign;
 pub mod demo;
 pub mod emulate;
 pub mod figures;

@@ -1,0 +1,381 @@
+//! The energy ledger without one of its parts: how stiff it is, and what breaks.
+
+use std::f64::consts::TAU;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use control::config::Law;
+use control::criterion::Device;
+use control::shape::Shape;
+use control::tuning::Tuning;
+use rayon::prelude::*;
+
+use crate::campaign::{Campaign, Kind, Tally};
+use crate::closed_loop::SceneError;
+use crate::hand::Hand;
+use crate::hold::State;
+use crate::trial::{EXTENSION, Sampled, Trial, abbott_okamura};
+
+/// Runs of the suite are extended up to this many times their 4,000 samples, and random ones without a
+/// hand: those without an end are many, and what ends does so sooner.
+const SUITE_EXTENSION: u64 = 64;
+const FREE_EXTENSION: u64 = 64;
+
+/// Runs of a kind made between two looks at how many were bad.
+const CHUNK: u64 = 250;
+
+/// Bad runs after which a kind has shown enough.
+const ENOUGH: usize = 100;
+
+/// A variant of the ledger.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Variant {
+    /// What was done to it.
+    pub name: &'static str,
+    /// What the part is for.
+    pub purpose: &'static str,
+    /// The constants.
+    pub tuning: Tuning,
+}
+
+/// The ledger as it is built, and without each of its parts in turn.
+#[must_use]
+pub fn variants() -> Vec<Variant> {
+    let built = Tuning::DEFAULT;
+    let variant = |name, purpose, tuning| Variant {
+        name,
+        purpose,
+        tuning,
+    };
+    vec![
+        variant("as built", "", built),
+        variant(
+            "no limit",
+            "the torque L that the energy there can pay for: everything rests on it",
+            Tuning {
+                limit: false,
+                ..built
+            },
+        ),
+        variant(
+            "no position",
+            "where in its cell the knob can be: less is charged and held back for what is not known",
+            Tuning {
+                position: false,
+                ..built
+            },
+        ),
+        variant(
+            "no charge",
+            "a change of torque at a place not known may cost energy",
+            Tuning {
+                charge: false,
+                ..built
+            },
+        ),
+        variant(
+            "no step 3",
+            "credit from one contact must not be spent in the next",
+            Tuning {
+                no_carry: false,
+                ..built
+            },
+        ),
+        variant(
+            "no count margin",
+            "the count in d − Δ: else a leaning hand ratchets",
+            Tuning {
+                count_margin: false,
+                ..built
+            },
+        ),
+        variant(
+            "no cap",
+            "K ≤ max(min(m/Te², 3c/Δ), AO): beyond, a leaning hand is thrown back within a tick",
+            Tuning {
+                cap: false,
+                ..built
+            },
+        ),
+        variant(
+            "no friction",
+            "η of what friction surely took may be given back",
+            Tuning {
+                friction: false,
+                ..built
+            },
+        ),
+        variant(
+            "no holding",
+            "a torque that holds the knob may stay",
+            Tuning {
+                holding: false,
+                ..built
+            },
+        ),
+        variant(
+            "no hand",
+            "accelerations that nobody told, of a hand, widen the intervals",
+            Tuning {
+                hand: false,
+                ..built
+            },
+        ),
+        variant(
+            "J = 4",
+            "a longer look back narrows the velocity",
+            Tuning {
+                ticks_back: 4,
+                ..built
+            },
+        ),
+        variant(
+            "J = 2",
+            "the same",
+            Tuning {
+                ticks_back: 2,
+                ..built
+            },
+        ),
+        variant(
+            "J = 1",
+            "the same",
+            Tuning {
+                ticks_back: 1,
+                ..built
+            },
+        ),
+        variant(
+            "η = ½",
+            "more of the friction credited is stiffer, less tolerates more error in c",
+            Tuning {
+                credit: 0.5,
+                ..built
+            },
+        ),
+        variant(
+            "η = 0.9",
+            "the same",
+            Tuning {
+                credit: 0.9,
+                ..built
+            },
+        ),
+        variant(
+            "2m/Te², 4c/Δ, η = 0.9",
+            "the caps at which no leaning hand ratchets",
+            Tuning {
+                credit: 0.9,
+                inertia_cap: 2.0,
+                coulomb_cap: 4.0,
+                ..built
+            },
+        ),
+    ]
+}
+
+/// What became of a variant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// Geometric mean over the devices of the static stiffness under a push of 30 c, over
+    /// [`abbott_okamura`].
+    pub stiffness: f64,
+    /// Runs of the suite.
+    pub suite_runs: usize,
+    /// Bad ones: hits of a wall, flights into a spring, leaning hands.
+    pub suite_bad: [usize; 3],
+    /// Random runs by kind.
+    pub random: Vec<(Kind, Tally)>,
+}
+
+impl Outcome {
+    /// Share of runs of a kind that are bad.
+    #[must_use]
+    pub fn rate(&self, kind: Kind) -> f64 {
+        self.random
+            .iter()
+            .find(|(of, _)| *of == kind)
+            .map_or(0.0, |(_, tally)| {
+                tally.bad.len() as f64 / tally.runs.max(1) as f64
+            })
+    }
+}
+
+/// Measures a variant in all threads: the suite, and up to `runs` random runs of each kind, fewer where
+/// a hundred bad ones have shown enough. None if `stop` was set.
+///
+/// # Errors
+/// See [`SceneError`]; nothing of it is refused.
+pub fn measure(
+    variant: &Variant,
+    runs: u64,
+    seed: u64,
+    stop: &AtomicBool,
+    seen: &(dyn Fn() + Sync),
+) -> Result<Option<Outcome>, SceneError> {
+    let mut suite_runs = 0;
+    let mut suite_bad = [0; 3];
+    let mut logarithm = 0.0;
+    for sampled in &DEVICES.map(|row| row.sampled()) {
+        let trials = suite(sampled);
+        let ended = trials
+            .par_iter()
+            .with_max_len(4)
+            .map(|(part, trial)| {
+                if stop.load(Ordering::Relaxed) {
+                    return Ok(None);
+                }
+                let verdict = trial.run_tuned(variant.tuning)?;
+                let depth = verdict.report.end.position - trial.scene.config.shape.zero_rad();
+                seen();
+                Ok(Some((
+                    *part,
+                    verdict.fault.is_some(),
+                    verdict.end_torque_nm.abs() / depth,
+                )))
+            })
+            .collect::<Result<Option<Vec<_>>, SceneError>>()?;
+        let Some(ended) = ended else { return Ok(None) };
+        suite_runs += ended.len();
+        let (mut sum, mut hardest) = (0.0, 0.0);
+        for (part, bad, stiffness) in ended {
+            suite_bad[part.column()] += usize::from(bad);
+            if part == Part::LeanHard {
+                // Where it has bounced off there is none.
+                sum += stiffness.max(1e-9).ln();
+                hardest += 1.0;
+            }
+        }
+        logarithm += sum / hardest - abbott_okamura(sampled)?.ln();
+    }
+    let mut random = Vec::new();
+    for kind in Kind::ALL {
+        let campaign = Campaign {
+            tuning: variant.tuning,
+            extension: if kind.is_free() {
+                FREE_EXTENSION
+            } else {
+                EXTENSION
+            },
+            hasty: true,
+            ..Campaign::new(seed, Law::Ledger)
+        };
+        let mut tally = Tally::default();
+        while tally.runs < runs && tally.bad.len() < ENOUGH {
+            let until = (tally.runs + CHUNK).min(runs);
+            if !campaign.go_on(kind, &mut tally, until, stop, &|_| seen())? {
+                return Ok(None);
+            }
+        }
+        random.push((kind, tally));
+    }
+    Ok(Some(Outcome {
+        stiffness: (logarithm / DEVICES.len() as f64).exp(),
+        suite_runs,
+        suite_bad,
+        random,
+    }))
+}
+
+/// A part of the suite.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Part {
+    Wall,
+    Spring,
+    Lean,
+    /// Leaning with 30 c.
+    LeanHard,
+}
+
+impl Part {
+    fn column(self) -> usize {
+        match self {
+            Self::Wall => 0,
+            Self::Spring => 1,
+            Self::Lean | Self::LeanHard => 2,
+        }
+    }
+}
+
+/// Demanded of every run of the suite, Nm/rad: more than any device can have.
+const DEMAND_NM_RAD: f64 = 1e6;
+
+/// 96 hits of a wall, 96 flights into a spring, at six speeds and 16 phases of a count, and 48 hands that lean.
+fn suite(sampled: &Sampled) -> Vec<(Part, Trial)> {
+    let wall = Shape::Wall {
+        edge_rad: 0.375 * sampled.count_rad,
+    };
+    let spring = Shape::Spring { centre_rad: 0.0 };
+    let trial = |shape, position, velocity| Trial {
+        scene: sampled.scene(
+            sampled.config(Law::Ledger, shape, DEMAND_NM_RAD),
+            State { position, velocity },
+            4_000,
+        ),
+        history: 9,
+        extension: SUITE_EXTENSION,
+        hasty: true,
+    };
+    let mut trials = Vec::new();
+    for speed in [0.1, 0.3, 1.0, 3.0, 10.0, 30.0] {
+        for sixteenth in 0..16 {
+            let phase = (f64::from(sixteenth) + 0.5) / 16.0;
+            let before_wall = -phase * speed * sampled.period_s;
+            trials.push((Part::Wall, trial(wall, before_wall, speed)));
+            let below = -phase * sampled.count_rad;
+            trials.push((Part::Spring, trial(spring, below, speed)));
+        }
+    }
+    for (inertia_kg_m2, damping_nm_s_rad) in [(3e-5, 1e-3), (1e-5, 1e-4)] {
+        for (part, push) in [
+            (Part::Lean, 2.5),
+            (Part::Lean, 10.0),
+            (Part::LeanHard, 30.0),
+        ] {
+            for eighth in 0..8 {
+                let before_wall = -(f64::from(eighth) + 0.5) / 8.0 * 0.5 * sampled.period_s;
+                let mut lean = trial(wall, before_wall, 0.5);
+                lean.scene.hand = Hand {
+                    inertia_kg_m2,
+                    damping_nm_s_rad,
+                    push_nm: push * sampled.device.coulomb_nm,
+                    ..Hand::default()
+                };
+                trials.push((part, lean));
+            }
+        }
+    }
+    trials
+}
+
+/// m, b, c, counts per revolution, decimation, T.
+struct Row(f64, f64, f64, f64, f64, f64);
+
+impl Row {
+    fn sampled(self) -> Sampled {
+        let Self(inertia_kg_m2, viscous_nm_s_rad, coulomb_nm, counts, decimation, period_s) = self;
+        Sampled {
+            device: Device {
+                inertia_kg_m2,
+                viscous_nm_s_rad,
+                coulomb_nm,
+            },
+            count_rad: TAU / counts * decimation,
+            period_s,
+        }
+    }
+}
+
+/// The paper's RE35 at three periods and four decimations, and three gimbal knobs at one or two periods.
+const DEVICES: [Row; 11] = [
+    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 1.0, 1e-3),
+    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 1.0, 1e-4),
+    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 1.0, 5e-3),
+    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 2.0, 1e-3),
+    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 8.0, 1e-3),
+    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 32.0, 1e-3),
+    Row(5e-6, 1e-5, 1e-3, 16384.0, 1.0, 1.25e-4),
+    Row(5e-6, 1e-5, 1e-3, 16384.0, 1.0, 1e-3),
+    Row(2e-5, 1e-4, 1e-2, 16384.0, 1.0, 1.25e-4),
+    Row(2e-5, 1e-4, 1e-2, 16384.0, 1.0, 1e-3),
+    Row(1e-5, 3e-5, 3e-3, 16384.0, 1.0, 2.5e-4),
+];
