@@ -79,7 +79,7 @@ pub struct Trial {
     pub history: u32,
     /// A run is extended up to this many times its samples.
     pub extension: u64,
-    /// A run ends when it has given out [`PLAINLY`] of the energy in play, so that growth is not told apart.
+    /// A run ends when it has given out a good part of the energy in play, so that growth is not told apart.
     pub hasty: bool,
 }
 
