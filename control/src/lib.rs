@@ -1,10 +1,18 @@
 //! What a haptic tick decides, and nothing else.
 //!
 //! A knob is read every sample period through an encoder, a torque is computed, and
-//! held until the next sample. This crate holds that computation: the
-//! [`encoder`] as the controller sees it, the [sampled spring](spring), the
-//! [passivity criterion](criterion) and the [tick] that joins them. It knows no board, no wire and no
-//! plant, uses no allocation, and the tick cannot panic.
+//! held until the next sample. This crate holds that computation, one module an idea:
+//!
+//! - [`encoder`]: the counts as the controller sees them; [`shape`]: spring, wall and detent;
+//! - [`criterion`]: the passivity criterion, in every form of the paper; [`margin`]: with what a
+//!   real loop adds;
+//! - [`motion`]: where the knob can be and how fast, by set membership;
+//! - [`ledger`]: the energy ledger; [`tuning`]: its constants and parts;
+//! - [`config`] and [`plan`]: what a controller is told, and what it makes of that;
+//! - [`tick`]: the tick that joins them, under the laws raw, static, episode, ledger and auto;
+//! - [`root`] and [`sine`]: of + × ÷ alone.
+//!
+//! It knows no board, no wire and no plant, uses no allocation, and the tick cannot panic.
 //!
 //! Quantities are in SI units; a bare number carries its unit in its name. Equation
 //! numbers in parentheses are those of Diolaiti, Niemeyer, Barbagli, Salisbury, "A
