@@ -3,22 +3,23 @@
 //! A stiff sampled spring makes energy. Instead of forbidding the stiffness that could, the
 //! ledger measures what the knob has put in, and never gives out more:
 //!
-//! 1. **Intervals.** Velocity and position from the counts ([`crate::motion`]).
-//! 2. **Account.** S += −F·(mid[x] − mid[x]₋₁) + η·(c·path + b·((|n|−1)₊·Δ)²/dt): what the torque F
-//!    that was held took in, and a share η of what friction surely took. path = (|n| − [turned])·Δ: of
+//! 1. **Intervals.** Velocity and position from the counts ([`crate::motion`]); ⟨x⟩ is the position's.
+//! 2. **Account.** S += −F·(mid⟨x⟩ − mid⟨x⟩₋₁) + η·(c·path + b·((|n|−1)₊·Δ)²/dt): what the torque F
+//!    that was held took in, and a share η of what friction surely took. path = |n|·Δ, after a turn (|n| − 1)·Δ: of
 //!    n counts only |n| − 1 are sure to have been travelled after a turn.
 //! 3. **No credit carried.** S = min(S, 0) out of contact (F = 0 or no nominal torque), and
 //!    where a minimum of the potential was passed.
-//! 4. **Torque.** s = max(0, S − w|F|/2), w the width of \[x\], is what is surely there. With
-//!    d = T·(lowest speed against the nominal torque),
+//! 4. **Torque.** s = max(0, S − w|F|/2), w the width of ⟨x⟩, is what is surely there. With
+//!    d = (T_max + τ)·(lowest speed against the nominal torque),
 //!    L(K, d) = 2s/(|d| + √(d² + 2s/K)) + max(ηc, 2Kd), and M = L(K, d − Δ). Where the knob does not
-//!    move outward and F already pushes the nominal way, M = max(M, min(|F|, L(m/Te², d))).
+//!    move with the torque, and F already pushes the nominal way and is at most L(m/Te², d), M is at
+//!    least |F|.
 //!    The torque is the nominal one, clamped to ±M.
 //! 5. **Charge.** S −= |F − F₋₁|·w/2.
 //!
 //! *Why it is sound.* Over all motions that the counts allow and that end at x, the worst
-//! account is affine in x with slope −F; steps 2 and 5 are that update at the middle of \[x\], and
-//! s is its minimum over \[x\]. For the bare rotor work less friction is the change of kinetic
+//! account is affine in x with slope −F; steps 2 and 5 are that update at the middle of ⟨x⟩, and
+//! s is its minimum over ⟨x⟩. For the bare rotor work less friction is the change of kinetic
 //! energy, so a tick is safe if v² at its end is at most v² + 2s/m; with Coulomb friction in both
 //! phases of a reversal that means F² − PF ≤ ηcG + η²c², which L satisfies (G its first term,
 //! P = G + 2Kd, K ≤ m/T²). The share (1 − η)·c·path is never credited, so the path is finite
@@ -279,5 +280,36 @@ fn limit_nm(sure_j: f32, stiffness: f32, compliance: f32, reach_rad: f32, fricti
         twice / size + braking
     } else {
         braking
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(20_000))]
+
+        /// What makes a tick safe, with friction in both phases of a reversal.
+        #[test]
+        fn the_limit_is_what_the_energy_there_can_pay_for(
+            energy in prop_oneof![Just(0.0), (-25.0..5.0f64).prop_map(f64::exp)],
+            stiffness in (-5.0..10.0f64).prop_map(f64::exp),
+            reach in prop_oneof![-1.0..1.0f64, -1e-4..1e-4f64],
+            friction in (-10.0..0.0f64).prop_map(f64::exp),
+        ) {
+            let size = reach.abs() + (reach * reach + 2.0 * energy / stiffness).sqrt();
+            let paid = 2.0 * energy / size.max(1e-20);
+            let limit = f64::from(limit_nm(
+                energy as f32, stiffness as f32, (1.0 / stiffness) as f32, reach as f32, friction as f32,
+            ));
+            let p = paid + 2.0 * stiffness * reach;
+            let scale = limit * limit + p.abs() * limit + friction * friction;
+            prop_assert!(limit * limit - p * limit - friction * paid - friction * friction <= 1e-5 * scale);
+            // And no more than a hair below it.
+            let exact = paid + friction.max(2.0 * stiffness * reach);
+            prop_assert!((limit / exact - 1.0).abs() < 1e-5);
+        }
     }
 }
