@@ -13,7 +13,10 @@
 //! - [`knob`]: the plant with what a real one adds, each opt-in: a [`hand`] that holds it,
 //!   a [`drive`] that delays, lags and rounds the torque, a [`clock`] that is not even;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
-//! - [`preset`]: devices known by name.
+//! - [`preset`]: devices known by name;
+//! - [`trial`], [`campaign`]: what counts as a bad run of a law, and random runs;
+//! - [`suite`], [`rivals`]: how stiff each law gets in systematic runs, and published laws to
+//!   compare with.
 //!
 //! Everything is `f64`. Equation numbers in parentheses are those of Diolaiti, Niemeyer,
 //! Barbagli, Salisbury, "A Criterion for the Passivity of Haptic Devices" (2005).
@@ -34,6 +37,8 @@ pub mod lockstep;
 pub mod map;
 pub mod outcome;
 pub mod preset;
+pub mod rivals;
 mod series;
 mod sprung;
+pub mod suite;
 pub mod trial;

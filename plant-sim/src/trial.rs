@@ -124,6 +124,26 @@ impl Trial {
     /// See [`SceneError`].
     pub fn run_plan(&self, plan: Plan) -> Result<Verdict, SceneError> {
         let scene = &self.scene;
+        let mut controller = self.controller(plan)?;
+        let at_rest = self.history == 0 && scene.start.velocity == 0.0;
+        let stored_j = if at_rest {
+            let potential = Potential::new(&scene.config.shape, scene.config.count_rad());
+            plan.applied_limit_nm_rad() * potential.per_stiffness(scene.start.position)
+        } else {
+            0.0
+        };
+        self.run_under(
+            |counter, duration_s| controller.tick(counter, duration_s),
+            stored_j,
+        )
+    }
+
+    /// The controller at the first sample, with the past that it has seen.
+    ///
+    /// # Errors
+    /// See [`SceneError`].
+    pub fn controller(&self, plan: Plan) -> Result<Controller, SceneError> {
+        let scene = &self.scene;
         let count = |tick: u32| {
             let past = f64::from(tick) * scene.clock.period_s * scene.start.velocity;
             ((scene.start.position - past) / scene.config.hardware_count_rad).floor() as i64 as i32
@@ -142,17 +162,7 @@ impl Trial {
             }
             controller.adopt(plan);
         }
-        let at_rest = self.history == 0 && scene.start.velocity == 0.0;
-        let stored_j = if at_rest {
-            let potential = Potential::new(&scene.config.shape, scene.config.count_rad());
-            plan.applied_limit_nm_rad() * potential.per_stiffness(scene.start.position)
-        } else {
-            0.0
-        };
-        self.run_under(
-            |counter, duration_s| controller.tick(counter, duration_s),
-            stored_j,
-        )
+        Ok(controller)
     }
 
     /// Runs the trial under any control that has `stored_j` in its spring at the start.
