@@ -46,11 +46,8 @@ pub const ANY_STIFFNESS: f64 = 1e6;
 /// Mass (kg m²) and damping (Nm s/rad) of the leaning hands.
 const HANDS: [(f64, f64); 2] = [(3e-5, 1e-3), (1e-5, 1e-4)];
 
-/// What they push with, over c.
+/// What they push with, over c; the static stiffness is taken under the last.
 const PUSHES: [f64; 3] = [2.5, 10.0, 30.0];
-
-/// The push under which the static stiffness is taken, over c.
-const STATIC_PUSH: f64 = 30.0;
 
 /// The wall's edge, counts.
 const EDGE: f64 = 0.375;
@@ -196,8 +193,8 @@ impl Kind {
 struct Run {
     kind: Kind,
     trial: Trial,
-    /// Push over c.
-    push: f64,
+    /// The static stiffness is taken at its end.
+    leans_hardest: bool,
 }
 
 /// The wall.
@@ -227,7 +224,7 @@ fn runs(sampled: &Sampled, law: Law, demand: f64) -> Vec<Run> {
     let free = |kind, trial| Run {
         kind,
         trial,
-        push: 0.0,
+        leans_hardest: false,
     };
     for velocity in SPEEDS_RAD_S {
         for number in 0..16 {
@@ -245,7 +242,7 @@ fn runs(sampled: &Sampled, law: Law, demand: f64) -> Vec<Run> {
         }
     }
     for (inertia_kg_m2, damping_nm_s_rad) in HANDS {
-        for push in PUSHES {
+        for (number_of_push, push) in PUSHES.into_iter().enumerate() {
             for number in 0..8 {
                 let mut trial = hit(sampled, law, demand, 0.5, place(number, 8));
                 trial.scene.hand = Hand {
@@ -257,7 +254,7 @@ fn runs(sampled: &Sampled, law: Law, demand: f64) -> Vec<Run> {
                 runs.push(Run {
                     kind: Kind::Lean,
                     trial,
-                    push,
+                    leans_hardest: number_of_push == PUSHES.len() - 1,
                 });
             }
         }
@@ -414,7 +411,7 @@ pub fn measure(
                 fault,
             });
         }
-        if run.push == STATIC_PUSH {
+        if run.leans_hardest {
             let penetration = verdict.report.end.position - edge_rad;
             // A knob that was thrown out of the wall has no stiffness.
             stiffness.enter((verdict.end_torque_nm.abs() / penetration).max(1e-9));
