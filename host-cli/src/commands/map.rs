@@ -422,7 +422,7 @@ fn prepare_whole(args: &Args) -> Result<Option<Files>> {
     }))
 }
 
-fn with_ending(name: &Path, ending: &str) -> PathBuf {
+pub fn with_ending(name: &Path, ending: &str) -> PathBuf {
     let mut path = name.as_os_str().to_owned();
     path.push(".");
     path.push(ending);
