@@ -14,6 +14,7 @@ use crate::trial::{Sampled, abbott_okamura};
 /// that is |f + β·δ| ≤ |f + κ·δ|: **|F| ≤ |F₋₁ − κ·δ|**. κ = 2b/T is the published bound; here
 /// κ = min(2b/T, 2c/Δ), because the displacement is known to a count only. Any K may be
 /// demanded; unless the knob moves, nothing rises. δ of the first tick was before, and pays for nothing.
+/// With κ cut by 2c/Δ this is no proof for δ in counts: of 24,000 runs on 100 random devices 4 gave energy out.
 ///
 /// J.-P. Kim and J. Ryu, "Robustly stable haptic interaction control using an energy-bounding
 /// algorithm", Int. J. Robotics Research 29(6), 2010. The form with |F| is derived here.
