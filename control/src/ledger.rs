@@ -306,7 +306,8 @@ mod tests {
             ));
             if reach < 0.0 {
                 // Moving with the torque: what is left after friction, times the way.
-                let left = limit * (1.0 - 1e-6) - friction; // less what f32 rounds
+                // Less what f32 rounds.
+                let left = (limit * (1.0 - 1e-6) - friction).max(0.0);
                 let given = left * -reach + left * left / (2.0 * stiffness);
                 prop_assert!(given <= energy * (1.0 + 1e-4) + 1e-5 * friction * -reach);
             } else {

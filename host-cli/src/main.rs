@@ -7,6 +7,7 @@
 mod charts;
 mod commands;
 mod device;
+mod device_list;
 mod emulators;
 mod number;
 mod output;
@@ -37,6 +38,7 @@ enum Command {
     Simulate(commands::simulate::Args),
     Map(commands::map::Args),
     Plan(commands::plan::Args),
+    Stiffness(commands::stiffness::Args),
     Figures(commands::figures::Args),
     Campaign(commands::campaign::Args),
     Ablation(commands::ablation::Args),
@@ -68,6 +70,7 @@ fn main() -> ExitCode {
         Command::Simulate(args) => commands::simulate::run(&args),
         Command::Map(args) => commands::map::run(&args),
         Command::Plan(args) => commands::plan::run(&args),
+        Command::Stiffness(args) => commands::stiffness::run(&args),
         Command::Figures(args) => commands::figures::run(&args),
         Command::Campaign(args) => commands::campaign::run(&args),
         Command::Ablation(args) => commands::ablation::run(&args),

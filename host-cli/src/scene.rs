@@ -4,7 +4,7 @@
 //! [`load`] reads the tables of [`mod@file`], refuses every value that makes no sense by its key,
 //! and gives a [`Loaded`] that runs.
 
-mod accepted;
+pub(crate) mod accepted;
 mod file;
 
 use std::f64::consts::TAU;

@@ -5,14 +5,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use control::config::Law;
 use control::criterion::Device;
-use control::shape::Shape;
 use control::tuning::Tuning;
 use rayon::prelude::*;
 
 use crate::campaign::{Campaign, Kind, Tally};
 use crate::closed_loop::SceneError;
-use crate::hand::Hand;
-use crate::hold::State;
+use crate::suite;
 use crate::trial::{EXTENSION, Sampled, Trial, abbott_okamura};
 
 /// Runs of the suite are extended up to this many times their 4,000 samples, and random ones without a
@@ -216,19 +214,23 @@ pub fn measure(
     let mut suite_bad = [0; 3];
     let mut logarithm = 0.0;
     for sampled in &DEVICES.map(|row| row.sampled()) {
-        let trials = suite(sampled);
-        let ended = trials
+        let ended = suite::runs(sampled, Law::Ledger, DEMAND_NM_RAD)
             .par_iter()
             .with_max_len(4)
-            .map(|(part, trial)| {
+            .map(|run| {
                 if stop.load(Ordering::Relaxed) {
                     return Ok(None);
                 }
+                let trial = Trial {
+                    extension: SUITE_EXTENSION,
+                    hasty: true,
+                    ..run.trial
+                };
                 let verdict = trial.run_tuned(variant.tuning)?;
                 let depth = verdict.report.end.position - trial.scene.config.shape.zero_rad();
                 seen();
                 Ok(Some((
-                    *part,
+                    *run,
                     verdict.fault.is_some(),
                     verdict.end_torque_nm.abs() / depth,
                 )))
@@ -237,9 +239,13 @@ pub fn measure(
         let Some(ended) = ended else { return Ok(None) };
         suite_runs += ended.len();
         let (mut sum, mut hardest) = (0.0, 0.0);
-        for (part, bad, stiffness) in ended {
-            suite_bad[part.column()] += usize::from(bad);
-            if part == Part::LeanHard {
+        for (run, bad, stiffness) in ended {
+            suite_bad[match run.kind {
+                suite::Kind::Hit => 0,
+                suite::Kind::Spring => 1,
+                suite::Kind::Lean => 2,
+            }] += usize::from(bad);
+            if run.leans_hardest {
                 // Where it has bounced off there is none.
                 sum += stiffness.max(1e-9).ln();
                 hardest += 1.0;
@@ -276,76 +282,8 @@ pub fn measure(
     }))
 }
 
-/// A part of the suite.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Part {
-    Wall,
-    Spring,
-    Lean,
-    /// Leaning with 30 c.
-    LeanHard,
-}
-
-impl Part {
-    fn column(self) -> usize {
-        match self {
-            Self::Wall => 0,
-            Self::Spring => 1,
-            Self::Lean | Self::LeanHard => 2,
-        }
-    }
-}
-
 /// Demanded of every run of the suite, Nm/rad: more than any device can have.
 const DEMAND_NM_RAD: f64 = 1e6;
-
-/// 96 hits of a wall, 96 flights into a spring, at six speeds and 16 phases of a count, and 48 hands that lean.
-fn suite(sampled: &Sampled) -> Vec<(Part, Trial)> {
-    let wall = Shape::Wall {
-        edge_rad: 0.375 * sampled.count_rad,
-    };
-    let spring = Shape::Spring { centre_rad: 0.0 };
-    let trial = |shape, position, velocity| Trial {
-        scene: sampled.scene(
-            sampled.config(Law::Ledger, shape, DEMAND_NM_RAD),
-            State { position, velocity },
-            4_000,
-        ),
-        history: 9,
-        extension: SUITE_EXTENSION,
-        hasty: true,
-    };
-    let mut trials = Vec::new();
-    for speed in [0.1, 0.3, 1.0, 3.0, 10.0, 30.0] {
-        for sixteenth in 0..16 {
-            let phase = (f64::from(sixteenth) + 0.5) / 16.0;
-            let before_wall = -phase * speed * sampled.period_s;
-            trials.push((Part::Wall, trial(wall, before_wall, speed)));
-            let below = -phase * sampled.count_rad;
-            trials.push((Part::Spring, trial(spring, below, speed)));
-        }
-    }
-    for (inertia_kg_m2, damping_nm_s_rad) in [(3e-5, 1e-3), (1e-5, 1e-4)] {
-        for (part, push) in [
-            (Part::Lean, 2.5),
-            (Part::Lean, 10.0),
-            (Part::LeanHard, 30.0),
-        ] {
-            for eighth in 0..8 {
-                let before_wall = -(f64::from(eighth) + 0.5) / 8.0 * 0.5 * sampled.period_s;
-                let mut lean = trial(wall, before_wall, 0.5);
-                lean.scene.hand = Hand {
-                    inertia_kg_m2,
-                    damping_nm_s_rad,
-                    push_nm: push * sampled.device.coulomb_nm,
-                    ..Hand::default()
-                };
-                trials.push((part, lean));
-            }
-        }
-    }
-    trials
-}
 
 /// m, b, c, counts per revolution, decimation, T.
 struct Row(f64, f64, f64, f64, f64, f64);

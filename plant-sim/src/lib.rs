@@ -13,9 +13,11 @@
 //! - [`knob`]: the plant with what a real one adds, each opt-in: a [`hand`] that holds it,
 //!   a [`drive`] that delays, lags and rounds the torque, a [`clock`] that is not even;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
-//! - [`trial`], [`campaign`], [`search`], [`ablation`]: systematic, random and climbing runs of a law, and of
-//!   the law without one of its parts;
-//! - [`preset`]: devices known by name.
+//! - [`preset`]: devices known by name;
+//! - [`trial`], [`campaign`], [`search`]: what counts as a bad run of a law, random runs, and runs that
+//!   climb towards a bad one;
+//! - [`suite`], [`rivals`], [`ablation`]: how stiff each law gets in systematic runs, published laws
+//!   to compare with, and the ledger without one of its parts.
 //!
 //! Everything is `f64`. Equation numbers in parentheses are those of Diolaiti, Niemeyer,
 //! Barbagli, Salisbury, "A Criterion for the Passivity of Haptic Devices" (2005).
@@ -37,7 +39,9 @@ pub mod lockstep;
 pub mod map;
 pub mod outcome;
 pub mod preset;
+pub mod rivals;
 pub mod search;
 mod series;
 mod sprung;
+pub mod suite;
 pub mod trial;

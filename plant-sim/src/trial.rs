@@ -212,8 +212,11 @@ impl Trial {
         )
     }
 
-    /// A controller that has seen the history.
-    fn controller(&self, plan: Plan) -> Result<Controller, SceneError> {
+    /// The controller at the first sample, with the past that it has seen.
+    ///
+    /// # Errors
+    /// See [`SceneError`].
+    pub fn controller(&self, plan: Plan) -> Result<Controller, SceneError> {
         let scene = &self.scene;
         let count = |tick: u32| {
             let past = f64::from(tick) * scene.clock.period_s * scene.start.velocity;

@@ -6,4 +6,5 @@ pub mod map;
 pub mod plan;
 pub mod plane;
 pub mod run;
+pub mod stiffness;
 mod style;

@@ -14,3 +14,4 @@ pub mod plan;
 pub mod ports;
 pub mod set;
 pub mod simulate;
+pub mod stiffness;
