@@ -1,10 +1,8 @@
 //! The energy ledger without one of its parts: how stiff it is, and what breaks.
 
-use std::f64::consts::TAU;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use control::config::Law;
-use control::criterion::Device;
 use control::tuning::Tuning;
 use rayon::prelude::*;
 
@@ -198,13 +196,14 @@ impl Outcome {
     }
 }
 
-/// Measures a variant in all threads: the suite, and up to `runs` random runs of each kind, fewer where
+/// Measures a variant in all threads: the suite on the devices, and up to `runs` random runs of each kind, fewer where
 /// a hundred bad ones have shown enough. None if `stop` was set.
 ///
 /// # Errors
 /// See [`SceneError`]; nothing of it is refused.
 pub fn measure(
     variant: &Variant,
+    devices: &[Sampled],
     runs: u64,
     seed: u64,
     stop: &AtomicBool,
@@ -213,7 +212,7 @@ pub fn measure(
     let mut suite_runs = 0;
     let mut suite_bad = [0; 3];
     let mut logarithm = 0.0;
-    for sampled in &DEVICES.map(|row| row.sampled()) {
+    for sampled in devices {
         let ended = suite::runs(sampled, Law::Ledger, DEMAND_NM_RAD)
             .par_iter()
             .with_max_len(4)
@@ -275,7 +274,7 @@ pub fn measure(
         random.push((kind, tally));
     }
     Ok(Some(Outcome {
-        stiffness: (logarithm / DEVICES.len() as f64).exp(),
+        stiffness: (logarithm / devices.len() as f64).exp(),
         suite_runs,
         suite_bad,
         random,
@@ -284,36 +283,3 @@ pub fn measure(
 
 /// Demanded of every run of the suite, Nm/rad: more than any device can have.
 const DEMAND_NM_RAD: f64 = 1e6;
-
-/// m, b, c, counts per revolution, decimation, T.
-struct Row(f64, f64, f64, f64, f64, f64);
-
-impl Row {
-    fn sampled(self) -> Sampled {
-        let Self(inertia_kg_m2, viscous_nm_s_rad, coulomb_nm, counts, decimation, period_s) = self;
-        Sampled {
-            device: Device {
-                inertia_kg_m2,
-                viscous_nm_s_rad,
-                coulomb_nm,
-            },
-            count_rad: TAU / counts * decimation,
-            period_s,
-        }
-    }
-}
-
-/// The paper's RE35 at three periods and four decimations, and three gimbal knobs at one or two periods.
-const DEVICES: [Row; 11] = [
-    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 1.0, 1e-3),
-    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 1.0, 1e-4),
-    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 1.0, 5e-3),
-    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 2.0, 1e-3),
-    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 8.0, 1e-3),
-    Row(6.28e-6, 9e-6, 2e-3, 8192.0, 32.0, 1e-3),
-    Row(5e-6, 1e-5, 1e-3, 16384.0, 1.0, 1.25e-4),
-    Row(5e-6, 1e-5, 1e-3, 16384.0, 1.0, 1e-3),
-    Row(2e-5, 1e-4, 1e-2, 16384.0, 1.0, 1.25e-4),
-    Row(2e-5, 1e-4, 1e-2, 16384.0, 1.0, 1e-3),
-    Row(1e-5, 3e-5, 3e-3, 16384.0, 1.0, 2.5e-4),
-];

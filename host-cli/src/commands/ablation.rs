@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use plant_sim::ablation::{self, Outcome, Variant};
+
+use crate::device_list;
 use plant_sim::campaign::Kind;
 use serde_json::{Value, json};
 
@@ -79,11 +81,22 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 fn measure(args: &Args) -> Result<Vec<(Variant, Outcome)>> {
+    let devices: Vec<_> = device_list::built_in()?
+        .iter()
+        .map(|named| named.sampled)
+        .collect();
     let variants = ablation::variants();
     let bar = progress::bar(variants.len() as u64, "ablation");
     let measured = variants.into_iter().map(|variant| {
         bar.set_message(variant.name);
-        let outcome = ablation::measure(&variant, args.runs, args.seed, stop::flag(), &|| {})?;
+        let outcome = ablation::measure(
+            &variant,
+            &devices,
+            args.runs,
+            args.seed,
+            stop::flag(),
+            &|| {},
+        )?;
         bar.inc(1);
         Ok((variant, outcome.ok_or(Stopped)?))
     });
