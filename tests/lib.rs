@@ -4,6 +4,7 @@
 
 #[cfg(unix)]
 mod rig;
+pub mod systematic;
 mod twin;
 
 #[cfg(unix)]
