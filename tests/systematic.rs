@@ -1,5 +1,5 @@
 //! The systematic runs: 240 of each of 11 devices, walls and springs hit at six speeds and hands
-//! that lean. To be replaced by `plant_sim::suite` where that is merged: a copy of its runs.
+//! that lean, as `plant_sim::suite` has them, under any belief.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -7,11 +7,10 @@ use std::f64::consts::TAU;
 use control::config::{Config, Law};
 use control::criterion::Device;
 use control::plan::Plan;
-use control::shape::Shape;
 use control::tick::Controller;
 use control::tuning::Tuning;
-use plant_sim::hand::Hand;
 use plant_sim::hold::State;
+use plant_sim::suite::{ANY_STIFFNESS, runs};
 use plant_sim::trial::{Fault, Sampled, Trial, Verdict};
 use rayon::prelude::*;
 
@@ -86,41 +85,16 @@ pub fn devices() -> [Sampled; 11] {
 /// The runs of a device, which demand more than it can render.
 #[must_use]
 pub fn trials(sampled: &Sampled, law: Law) -> Vec<Trial> {
-    let wall = Shape::Wall {
-        edge_rad: 0.375 * sampled.count_rad,
-    };
-    let spring = Shape::Spring { centre_rad: 0.0 };
-    let trial = |shape, position, velocity, hand| {
-        let start = State { position, velocity };
-        let mut scene = sampled.scene(sampled.config(law, shape, 1e6), start, SAMPLES);
-        scene.hand = hand;
+    let mut trials: Vec<Trial> = runs(sampled, law, ANY_STIFFNESS)
+        .into_iter()
+        .map(|run| run.trial)
+        .collect();
+    for trial in &mut trials {
+        let scene = &mut trial.scene;
+        scene.samples = SAMPLES;
         // Other ticks are missed in every run.
+        let State { position, velocity } = scene.start;
         scene.seed = ((position / sampled.count_rad).to_bits() ^ velocity.to_bits()) >> 8;
-        Trial { scene, history: 9 }
-    };
-    let mut trials = Vec::new();
-    for velocity in [0.1, 0.3, 1.0, 3.0, 10.0, 30.0] {
-        for place in 0..16 {
-            let place = (f64::from(place) + 0.5) / 16.0;
-            let before = -place * velocity * sampled.period_s;
-            trials.push(trial(wall, before, velocity, Hand::default()));
-            let before = -place * sampled.count_rad;
-            trials.push(trial(spring, before, velocity, Hand::default()));
-        }
-    }
-    for (inertia_kg_m2, damping_nm_s_rad) in [(3e-5, 1e-3), (1e-5, 1e-4)] {
-        for push in [2.5, 10.0, 30.0] {
-            for place in 0..8 {
-                let hand = Hand {
-                    inertia_kg_m2,
-                    damping_nm_s_rad,
-                    push_nm: push * sampled.device.coulomb_nm,
-                    ..Hand::default()
-                };
-                let before = -(f64::from(place) + 0.5) / 8.0 * 0.5 * sampled.period_s;
-                trials.push(trial(wall, before, 0.5, hand));
-            }
-        }
     }
     trials
 }

@@ -190,8 +190,10 @@ impl Kind {
 
 /// One of the runs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Run {
+pub struct Run {
+    /// What it is.
     pub kind: Kind,
+    /// Where it starts, and how.
     pub trial: Trial,
     /// The static stiffness is taken at its end.
     pub leans_hardest: bool,
@@ -221,7 +223,8 @@ fn hit(sampled: &Sampled, law: Law, demand: f64, velocity: f64, place: f64) -> T
 }
 
 /// All runs of a device, in the order of the module's list.
-pub(crate) fn runs(sampled: &Sampled, law: Law, demand: f64) -> Vec<Run> {
+#[must_use]
+pub fn runs(sampled: &Sampled, law: Law, demand: f64) -> Vec<Run> {
     let mut runs = Vec::new();
     let free = |kind, trial| Run {
         kind,

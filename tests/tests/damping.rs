@@ -11,7 +11,7 @@ use plant_sim::campaign::{Draw, Kind};
 use plant_sim::hold::State;
 use plant_sim::outcome::Class;
 use plant_sim::preset::preset;
-use plant_sim::trial::{Fault, Sampled, Trial, Verdict};
+use plant_sim::trial::{EXTENSION, Fault, Sampled, Trial, Verdict};
 use rayon::prelude::*;
 
 const SEED: u64 = 1;
@@ -113,6 +113,8 @@ fn damping_that_is_not_limited_makes_energy_and_limited_does_not() {
                 let mut config = device.config(law, shape, stiffness);
                 config.damping_nm_s_rad = damping;
                 Trial {
+                    extension: EXTENSION,
+                    hasty: false,
                     scene: device.scene(config, start, 500),
                     history: 9,
                 }
@@ -146,6 +148,8 @@ fn returned(stiffness: f64, velocity: f64, damping: f64) -> Vec<f64> {
             velocity,
         };
         let trial = Trial {
+            extension: EXTENSION,
+            hasty: false,
             scene: device.scene(config, start, 4_000),
             history: 9,
         };

@@ -14,7 +14,7 @@ use control::tuning::Tuning;
 use plant_sim::hold::State;
 use plant_sim::outcome::Class;
 use plant_sim::preset::preset;
-use plant_sim::trial::{Fault, Sampled, Trial, Verdict};
+use plant_sim::trial::{EXTENSION, Fault, Sampled, Trial, Verdict};
 
 const SPRING: Shape = Shape::Spring { centre_rad: 0.0 };
 
@@ -43,6 +43,8 @@ fn trial(sampled: &Sampled, law: Law, shape: Shape, stiffness: f64, start: (f64,
     let (position, velocity) = start;
     let start = State { position, velocity };
     Trial {
+        extension: EXTENSION,
+        hasty: false,
         scene: sampled.scene(sampled.config(law, shape, stiffness), start, 2_000),
         history: 0,
     }
