@@ -39,7 +39,7 @@ use crate::stop::{self, Stopped};
     after_help = "Examples:\n  knob stiffness\n  knob stiffness --out stiffness\n  knob stiffness --devices my-knobs.toml --json\n  knob stiffness --random 50 --seed 1"
 )]
 pub struct Args {
-    /// Devices to measure (TOML): tables [[device]] with name, inertia_kg_m2, viscous_nm_s_rad, coulomb_nm,
+    /// Devices to measure (TOML): one table `device` each, with name, inertia_kg_m2, viscous_nm_s_rad, coulomb_nm,
     /// counts_per_rev, sample_period_s and decimation (1 if absent) [default: 11 built in]
     #[arg(long, value_name = "FILE")]
     devices: Option<PathBuf>,
