@@ -34,7 +34,7 @@ pub(crate) struct LedgerPlan {
     pub mechanics: Mechanics,
     /// K, after its cap.
     pub stiffness: f32,
-    /// 1/K, or 0 where K is.
+    /// 1/K, or 0 where K is next to 0.
     pub compliance: f32,
     /// K_h = m/Te².
     pub holding: f32,
@@ -311,7 +311,6 @@ fn ledger_plan(
         (coulomb * timing.period_s / count_rad) as f32,
     );
     let lag = timing.amplifier_tau_s;
-    // (1 − y)ⁿ needs no exponential, which `core` lacks: e^(−y) with y = T/τ by squaring.
     let lag_left = exponential_decay(timing.period_s, lag);
     let step_nm = config.torque_step_nm as f32;
     Ok(LedgerPlan {
@@ -327,7 +326,8 @@ fn ledger_plan(
             coulomb_high: not_negative("Coulomb friction (Nm)", believed.coulomb_nm.high as f32)?,
         },
         stiffness,
-        compliance: if stiffness > 0.0 {
+        // Of next to no stiffness 1/K is no number, and does not matter.
+        compliance: if stiffness > 1e-30 {
             1.0 / stiffness
         } else {
             0.0
@@ -354,7 +354,7 @@ fn ledger_plan(
     })
 }
 
-/// e^(−time/constant), 0 for constant = 0.
+/// e^(−time/constant), 0 for constant = 0; `core` has no exponential.
 fn exponential_decay(time: f64, constant: f64) -> f64 {
     if time >= 40.0 * constant {
         return 0.0;
