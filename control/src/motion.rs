@@ -333,3 +333,112 @@ impl Motion {
         gap
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const RE35: Mechanics = Mechanics {
+        count_rad: 7.67e-4,
+        half_count_rad: 3.835e-4,
+        mobility: 1.0 / 6.28e-6,
+        viscous_high: 1.05 * 9e-6,
+        coulomb_low: 2e-3,
+        coulomb_high: 2e-3,
+    };
+
+    /// A tick as the module's equations want it.
+    struct Known {
+        counts: f64,
+        duration_s: f64,
+        slowest: f64,
+        fastest: f64,
+    }
+
+    /// The interval over the last ticks, newest first, summed as it stands in the module.
+    fn over(known: &[Known]) -> (f64, f64) {
+        let window: f64 = known.iter().map(|tick| tick.duration_s).sum();
+        let counts: f64 = known.iter().map(|tick| tick.counts).sum();
+        let (mut low, mut high) = ((counts - 1.0), (counts + 1.0));
+        (low, high) = (
+            low * f64::from(RE35.count_rad) / window,
+            high * f64::from(RE35.count_rad) / window,
+        );
+        let mut since = 0.0;
+        for tick in known {
+            let share = (window - since - 0.5 * tick.duration_s) / window;
+            since += tick.duration_s;
+            low += tick.slowest * tick.duration_s * share;
+            high += tick.fastest * tick.duration_s * share;
+        }
+        (low, high)
+    }
+
+    proptest! {
+        #[test]
+        fn the_velocity_is_the_intersection_of_the_windows(
+            ticks in prop::collection::vec((-3i32..4, 0.5e-3..2e-3f64, -5e-3..5e-3f64), 8..40),
+        ) {
+            let mut motion = Motion::unknown(&RE35);
+            let mut known: Vec<Known> = Vec::new();
+            for (counts, duration_s, torque) in ticks {
+                let hand = f64::from(motion.hand_rad_s2());
+                let duration = duration_s as f32;
+                let rate = 1.0 / duration;
+                let interval = Interval {
+                    counts: counts as f32,
+                    duration_s: duration,
+                    rate,
+                    fast: (counts.abs() + 1) as f32 * RE35.count_rad * rate,
+                };
+                let held = torque as f32;
+                let span = Span { low: held, high: held };
+                motion.follow(&RE35, &Tuning::DEFAULT, &interval, span, held.abs());
+                let (c, mobility) = (f64::from(RE35.coulomb_high), f64::from(RE35.mobility));
+                let speed = f64::from(interval.fast) + (torque.abs() + c) * duration_s * mobility;
+                let friction = c + f64::from(RE35.viscous_high) * speed;
+                known.insert(0, Known {
+                    counts: f64::from(counts),
+                    duration_s,
+                    slowest: (mobility * (torque - friction)).min(0.0) - hand,
+                    fastest: (mobility * (torque + friction)).max(0.0) + hand,
+                });
+                let newest = over(&known[..1]);
+                let (mut low, mut high) = newest;
+                for length in [2, 4, TICKS_BACK] {
+                    if let Some(known) = known.get(..length) {
+                        let window = over(known);
+                        (low, high) = (low.max(window.0), high.min(window.1));
+                    }
+                }
+                let scale = 1e-5 * (low.abs() + high.abs() + 10.0);
+                if (low - high).abs() < scale {
+                    continue; // empty or not: rounding decides
+                }
+                let empty = low > high;
+                let (low, high) = if empty { newest } else { (low, high) };
+                let have = motion.velocity();
+                prop_assert!((f64::from(have.low) - low).abs() < scale, "{have:?}, not {low}");
+                prop_assert!((f64::from(have.high) - high).abs() < scale, "{have:?}, not {high}");
+                // Contradicted, it allows a hand for more; else that fades.
+                prop_assert!(!empty || motion.contradicted());
+                let grown = f64::from(motion.hand_rad_s2()) > hand;
+                prop_assert_eq!(grown, motion.contradicted());
+                let position = motion.position();
+                prop_assert!(position.low <= position.high);
+                prop_assert!(position.high.abs().max(position.low.abs()) <= RE35.half_count_rad);
+            }
+        }
+    }
+
+    #[test]
+    fn where_nobody_has_looked_it_may_be_anywhere_and_as_fast_as_you_like() {
+        let motion = Motion::unknown(&RE35);
+        assert_eq!(motion.position().width(), RE35.count_rad);
+        assert!(motion.velocity().width() > 1e8);
+        let mut resting = motion;
+        resting.rest();
+        assert_eq!(resting.velocity().width(), 0.0);
+    }
+}
