@@ -286,6 +286,10 @@ fn limit_nm(sure_j: f32, stiffness: f32, compliance: f32, reach_rad: f32, fricti
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Believed, Config, Law, Timing};
+    use crate::encoder::EncoderConfig;
+    use crate::plan::Plan;
+    use crate::shape::Shape;
     use proptest::prelude::*;
 
     proptest! {
@@ -320,5 +324,152 @@ mod tests {
             let exact = paid + friction.max(2.0 * stiffness * reach);
             prop_assert!((limit / exact - 1.0).abs() < 1e-5);
         }
+    }
+
+    fn plan(edit: impl FnOnce(&mut Config)) -> LedgerPlan {
+        let mut config = Config {
+            believed: Believed {
+                inertia_kg_m2: crate::config::Interval::exactly(6.28e-6),
+                viscous_nm_s_rad: crate::config::Interval::exactly(0.0),
+                coulomb_nm: crate::config::Interval::exactly(2e-3),
+            },
+            timing: Timing::ideal(1e-3),
+            torque_step_nm: 0.0,
+            hardware_count_rad: COUNT,
+            encoder: EncoderConfig::default(),
+            shape: Shape::Spring { centre_rad: 0.0 },
+            stiffness_nm_rad: 1.0,
+            damping_nm_s_rad: 0.0,
+            law: Law::Ledger,
+            torque_max_nm: 1.0,
+        };
+        edit(&mut config);
+        Plan::new(&config).unwrap().ledger
+    }
+
+    const COUNT: f64 = 1e-3;
+
+    /// A spring that holds −0.01 Nm and 1 mJ, whose knob moved by so many counts.
+    fn loaded(plan: &LedgerPlan, direction: f32, counts: f32, nominal_nm: f32) -> Ledger {
+        let mut ledger = Ledger::new(plan, -0.01, 1e-3);
+        ledger.direction = direction;
+        let interval = Interval {
+            counts,
+            duration_s: 1e-3,
+            rate: 1e3,
+            fast: counts.abs() + 1.0,
+        };
+        ledger.account(plan, &Tuning::DEFAULT, &interval, nominal_nm);
+        ledger
+    }
+
+    fn near(have: f32, want: f64) {
+        assert!(
+            (f64::from(have) / want - 1.0).abs() < 1e-4,
+            "{have:e}, not {want:e}"
+        );
+    }
+
+    #[test]
+    fn the_account_takes_the_work_and_the_friction_that_was_surely_travelled() {
+        let plan = plan(|_| ());
+        // 3 counts against the torque, on the way there already: 3 counts of friction.
+        let on = loaded(&plan, 1.0, 3.0, -0.01).account_j;
+        near(on, 1e-3 + 0.01 * 3.0 * COUNT + 0.75 * 2e-3 * 3.0 * COUNT);
+        // After a turn only 2 are sure; back, the work is given out.
+        let turned = loaded(&plan, -1.0, 3.0, -0.01).account_j;
+        near(on - turned, 0.75 * 2e-3 * COUNT);
+        let back = loaded(&plan, -1.0, -3.0, -0.01).account_j;
+        near(back, 1e-3 - 0.01 * 3.0 * COUNT + 0.75 * 2e-3 * 3.0 * COUNT);
+        // Standing takes nothing.
+        near(loaded(&plan, 1.0, 0.0, -0.01).account_j, 1e-3);
+    }
+
+    #[test]
+    fn no_credit_is_carried_out_of_contact_or_through_a_minimum() {
+        let plan = plan(|_| ());
+        assert_eq!(loaded(&plan, 1.0, -3.0, 0.0).account_j, 0.0);
+        // Through the minimum: the nominal torque has turned and opposes the motion.
+        assert_eq!(loaded(&plan, -1.0, -3.0, 0.01).account_j, 0.0);
+        // Turned, but with the motion: over a detent's top.
+        assert!(loaded(&plan, -1.0, 3.0, 0.01).account_j > 0.0);
+        let mut apart = Ledger::new(&plan, 0.0, 1e-3);
+        let still = Interval {
+            counts: 0.0,
+            duration_s: 1e-3,
+            rate: 1e3,
+            fast: 1.0,
+        };
+        apart.account(&plan, &Tuning::DEFAULT, &still, -0.01);
+        assert_eq!(apart.account_j, 0.0);
+    }
+
+    #[test]
+    fn a_change_of_torque_is_charged_with_what_the_position_leaves_open() {
+        let plan = plan(|_| ());
+        let mut ledger = loaded(&plan, 1.0, 0.0, -0.01);
+        let before = ledger.account_j;
+        let (torque, _) = ledger.torque(&plan, &Tuning::DEFAULT, 0.0, -1e-3);
+        assert_eq!(torque, -1e-3);
+        near(before - ledger.account_j, 0.009 * 0.5 * COUNT);
+    }
+
+    #[test]
+    fn only_what_is_there_wherever_the_knob_is_pays_for_a_torque() {
+        let plan = plan(|_| ());
+        let mut ledger = loaded(&plan, 1.0, 0.0, -0.01);
+        ledger.velocity = Span {
+            low: 0.0,
+            high: 0.0,
+        };
+        // w|F|/2 = 5 µJ: with no more than that there is only friction.
+        ledger.account_j = 4.9e-6;
+        let (torque, reason) = ledger.clone().torque(&plan, &Tuning::DEFAULT, -1.0, -0.1);
+        near(torque, -0.75 * 2e-3);
+        assert_eq!(reason, Reason::Account);
+        ledger.account_j = 105e-6;
+        let (torque, _) = ledger.torque(&plan, &Tuning::DEFAULT, -1.0, -0.1);
+        // L(1, −Δ) of 100 µJ.
+        near(
+            torque,
+            -(2e-4 / (COUNT + (COUNT * COUNT + 2e-4).sqrt()) + 0.75 * 2e-3),
+        );
+    }
+
+    #[test]
+    fn delay_and_lag_cost_what_the_speed_leaves_open() {
+        let late = plan(|config| config.timing.delay_s = 5e-4);
+        let mut ledger = Ledger::new(&late, -0.01, 1e-3);
+        ledger.motion.rest();
+        let still = Interval {
+            counts: 0.0,
+            duration_s: 1e-3,
+            rate: 1e3,
+            fast: 1.0,
+        };
+        ledger.enter(&late, &Tuning::DEFAULT, &still);
+        ledger.account(&late, &Tuning::DEFAULT, &still, -0.01);
+        let velocity = ledger.motion.velocity();
+        let acceleration = ledger.motion.acceleration();
+        let wider = velocity.width() * 5e-4 + 0.5 * acceleration.width() * 25e-8;
+        near(
+            ledger.width_rad,
+            f64::from(ledger.motion.position().width() + wider),
+        );
+        near(
+            ledger.velocity.width(),
+            f64::from(velocity.width() + acceleration.width() * 5e-4),
+        );
+        // Until the amplifier follows, the old torque goes on for τ: at 2 rad/s outward.
+        let lagging = plan(|config| config.timing.amplifier_tau_s = 1e-4);
+        let mut ledger = loaded(&lagging, -1.0, 0.0, -0.01);
+        ledger.velocity = Span {
+            low: -2.0,
+            high: -2.0,
+        };
+        let before = ledger.account_j;
+        let (torque, _) = ledger.torque(&lagging, &Tuning::DEFAULT, -1.0, 0.0);
+        assert_eq!(torque, 0.0);
+        near(before - ledger.account_j, 0.01 * (0.5 * COUNT + 2.0 * 1e-4));
     }
 }
