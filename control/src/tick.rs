@@ -722,6 +722,14 @@ mod tests {
         assert!(near(damped(Law::Static, 0.01, 5), 9e-6 - 0.5e-5));
         assert!(near(damped(Law::Static, 0.0, 5), 9e-6));
         assert!(damped(Law::Static, 1.0, 5).abs() < 1e-9);
+        // On a coarse encoder (c − K·Δ/2)·T/Δ.
+        let mut coarse = re35(Law::Static, SPRING, 0.0);
+        coarse.hardware_count_rad = core::f64::consts::TAU / 20.0;
+        coarse.damping_nm_s_rad = 1.0;
+        let mut spring = controller(&coarse);
+        let _ = tick(&mut spring, 0);
+        // One count a period, so c.
+        assert!(near(-tick(&mut spring, 1).torque_nm, 2e-3));
     }
 
     #[test]
