@@ -33,12 +33,26 @@
 //! *Assumed:* m, b, c, the timing and the torque as believed, and a hand that leaves velocity and
 //! position in their intervals. Nothing is said beyond: see `docs/limits.md`.
 
-use crate::motion::{Interval, Motion, Span, UNKNOWN_VELOCITY};
+use crate::motion::{Interval, Motion, Span};
 use crate::plan::LedgerPlan;
 use crate::real::{larger, smaller};
 use crate::root::root;
 use crate::tick::Reason;
 use crate::tuning::Tuning;
+
+/// Where the knob is when the torque of this tick acts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Ahead {
+    /// The width of its position, rad.
+    pub width_rad: f32,
+    /// Its velocity, rad/s.
+    pub velocity: Span,
+}
+
+const NO_ACCELERATION: Span = Span {
+    low: 0.0,
+    high: 0.0,
+};
 
 /// The account of one knob.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,10 +72,8 @@ pub(crate) struct Ledger {
     nominal_nm: f32,
     /// The middle of the position when the torque changes, relative to the cell, rad.
     middle_rad: f32,
-    /// Its width, rad.
-    width_rad: f32,
-    /// The velocity then, rad/s.
-    velocity: Span,
+    /// The acceleration in the last tick, rad/s²; followed where there is delay or lag.
+    acceleration: Span,
 }
 
 impl Ledger {
@@ -76,8 +88,7 @@ impl Ledger {
             direction: 0.0,
             nominal_nm: held_nm,
             middle_rad: 0.0,
-            width_rad: plan.mechanics.count_rad,
-            velocity: UNKNOWN_VELOCITY,
+            acceleration: NO_ACCELERATION,
         }
     }
 
@@ -107,8 +118,12 @@ impl Ledger {
                 strongest = larger(strongest, other.abs());
             }
         }
-        self.motion
+        let acceleration = self
+            .motion
             .follow(&plan.mechanics, tuning, interval, torque, strongest);
+        if plan.late {
+            self.acceleration = acceleration;
+        }
     }
 
     /// Steps 1 (with delay) to 3 for the tick entered last; `nominal_nm` is the profile's torque now.
@@ -119,13 +134,13 @@ impl Ledger {
         tuning: &Tuning,
         interval: &Interval,
         nominal_nm: f32,
-    ) {
+    ) -> Ahead {
         let mechanics = &plan.mechanics;
         let held = self.held_nm;
         // 1. Intervals, at the time when the torque of this tick will act.
         let (mut position, mut velocity) = (self.motion.position(), self.motion.velocity());
         if plan.late {
-            let acceleration = self.motion.acceleration();
+            let acceleration = self.acceleration;
             let gained = Span {
                 low: acceleration.low * plan.delay_s,
                 high: acceleration.high * plan.delay_s,
@@ -136,8 +151,6 @@ impl Ledger {
             velocity.high += gained.high;
         }
         let middle = position.middle();
-        self.width_rad = position.width();
-        self.velocity = velocity;
 
         // 2. Account.
         let moved = interval.counts;
@@ -163,6 +176,10 @@ impl Ledger {
             }
         }
         self.nominal_nm = nominal_nm;
+        Ahead {
+            width_rad: position.width(),
+            velocity,
+        }
     }
 
     /// Steps 4 and 5 after [`Ledger::account`]; returns the torque, and why it is less.
@@ -171,11 +188,12 @@ impl Ledger {
         &mut self,
         plan: &LedgerPlan,
         tuning: &Tuning,
+        ahead: &Ahead,
         moved: f32,
         wanted: f32,
     ) -> (f32, Reason) {
         let held = self.held_nm;
-        let (width, velocity) = (self.width_rad, self.velocity);
+        let (width, velocity) = (ahead.width_rad, ahead.velocity);
         // 4. Torque.
         let mut sure_j = self.account_j - 0.5 * width * held.abs();
         if plan.late {
@@ -350,7 +368,7 @@ mod tests {
     const COUNT: f64 = 1e-3;
 
     /// A spring that holds −0.01 Nm and 1 mJ, whose knob moved by so many counts.
-    fn loaded(plan: &LedgerPlan, direction: f32, counts: f32, nominal_nm: f32) -> Ledger {
+    fn loaded(plan: &LedgerPlan, direction: f32, counts: f32, nominal_nm: f32) -> (Ledger, Ahead) {
         let mut ledger = Ledger::new(plan, -0.01, 1e-3);
         ledger.direction = direction;
         let interval = Interval {
@@ -359,8 +377,8 @@ mod tests {
             rate: 1e3,
             fast: counts.abs() + 1.0,
         };
-        ledger.account(plan, &Tuning::DEFAULT, &interval, nominal_nm);
-        ledger
+        let ahead = ledger.account(plan, &Tuning::DEFAULT, &interval, nominal_nm);
+        (ledger, ahead)
     }
 
     fn near(have: f32, want: f64) {
@@ -374,25 +392,25 @@ mod tests {
     fn the_account_takes_the_work_and_the_friction_that_was_surely_travelled() {
         let plan = plan(|_| ());
         // 3 counts against the torque, on the way there already: 3 counts of friction.
-        let on = loaded(&plan, 1.0, 3.0, -0.01).account_j;
+        let on = loaded(&plan, 1.0, 3.0, -0.01).0.account_j;
         near(on, 1e-3 + 0.01 * 3.0 * COUNT + 0.75 * 2e-3 * 3.0 * COUNT);
         // After a turn only 2 are sure; back, the work is given out.
-        let turned = loaded(&plan, -1.0, 3.0, -0.01).account_j;
+        let turned = loaded(&plan, -1.0, 3.0, -0.01).0.account_j;
         near(on - turned, 0.75 * 2e-3 * COUNT);
-        let back = loaded(&plan, -1.0, -3.0, -0.01).account_j;
+        let back = loaded(&plan, -1.0, -3.0, -0.01).0.account_j;
         near(back, 1e-3 - 0.01 * 3.0 * COUNT + 0.75 * 2e-3 * 3.0 * COUNT);
         // Standing takes nothing.
-        near(loaded(&plan, 1.0, 0.0, -0.01).account_j, 1e-3);
+        near(loaded(&plan, 1.0, 0.0, -0.01).0.account_j, 1e-3);
     }
 
     #[test]
     fn no_credit_is_carried_out_of_contact_or_through_a_minimum() {
         let plan = plan(|_| ());
-        assert_eq!(loaded(&plan, 1.0, -3.0, 0.0).account_j, 0.0);
+        assert_eq!(loaded(&plan, 1.0, -3.0, 0.0).0.account_j, 0.0);
         // Through the minimum: the nominal torque has turned and opposes the motion.
-        assert_eq!(loaded(&plan, -1.0, -3.0, 0.01).account_j, 0.0);
+        assert_eq!(loaded(&plan, -1.0, -3.0, 0.01).0.account_j, 0.0);
         // Turned, but with the motion: over a detent's top.
-        assert!(loaded(&plan, -1.0, 3.0, 0.01).account_j > 0.0);
+        assert!(loaded(&plan, -1.0, 3.0, 0.01).0.account_j > 0.0);
         let mut apart = Ledger::new(&plan, 0.0, 1e-3);
         let still = Interval {
             counts: 0.0,
@@ -400,16 +418,16 @@ mod tests {
             rate: 1e3,
             fast: 1.0,
         };
-        apart.account(&plan, &Tuning::DEFAULT, &still, -0.01);
+        let _ = apart.account(&plan, &Tuning::DEFAULT, &still, -0.01);
         assert_eq!(apart.account_j, 0.0);
     }
 
     #[test]
     fn a_change_of_torque_is_charged_with_what_the_position_leaves_open() {
         let plan = plan(|_| ());
-        let mut ledger = loaded(&plan, 1.0, 0.0, -0.01);
+        let (mut ledger, ahead) = loaded(&plan, 1.0, 0.0, -0.01);
         let before = ledger.account_j;
-        let (torque, _) = ledger.torque(&plan, &Tuning::DEFAULT, 0.0, -1e-3);
+        let (torque, _) = ledger.torque(&plan, &Tuning::DEFAULT, &ahead, 0.0, -1e-3);
         assert_eq!(torque, -1e-3);
         near(before - ledger.account_j, 0.009 * 0.5 * COUNT);
     }
@@ -417,18 +435,20 @@ mod tests {
     #[test]
     fn only_what_is_there_wherever_the_knob_is_pays_for_a_torque() {
         let plan = plan(|_| ());
-        let mut ledger = loaded(&plan, 1.0, 0.0, -0.01);
-        ledger.velocity = Span {
+        let (mut ledger, mut ahead) = loaded(&plan, 1.0, 0.0, -0.01);
+        ahead.velocity = Span {
             low: 0.0,
             high: 0.0,
         };
         // w|F|/2 = 5 µJ: with no more than that there is only friction.
         ledger.account_j = 4.9e-6;
-        let (torque, reason) = ledger.clone().torque(&plan, &Tuning::DEFAULT, -1.0, -0.1);
+        let (torque, reason) = ledger
+            .clone()
+            .torque(&plan, &Tuning::DEFAULT, &ahead, -1.0, -0.1);
         near(torque, -0.75 * 2e-3);
         assert_eq!(reason, Reason::Account);
         ledger.account_j = 105e-6;
-        let (torque, _) = ledger.torque(&plan, &Tuning::DEFAULT, -1.0, -0.1);
+        let (torque, _) = ledger.torque(&plan, &Tuning::DEFAULT, &ahead, -1.0, -0.1);
         // L(1, −Δ) of 100 µJ.
         near(
             torque,
@@ -448,27 +468,27 @@ mod tests {
             fast: 1.0,
         };
         ledger.enter(&late, &Tuning::DEFAULT, &still);
-        ledger.account(&late, &Tuning::DEFAULT, &still, -0.01);
+        let ahead = ledger.account(&late, &Tuning::DEFAULT, &still, -0.01);
         let velocity = ledger.motion.velocity();
-        let acceleration = ledger.motion.acceleration();
+        let acceleration = ledger.acceleration;
         let wider = velocity.width() * 5e-4 + 0.5 * acceleration.width() * 25e-8;
         near(
-            ledger.width_rad,
+            ahead.width_rad,
             f64::from(ledger.motion.position().width() + wider),
         );
         near(
-            ledger.velocity.width(),
+            ahead.velocity.width(),
             f64::from(velocity.width() + acceleration.width() * 5e-4),
         );
         // Until the amplifier follows, the old torque goes on for τ: at 2 rad/s outward.
         let lagging = plan(|config| config.timing.amplifier_tau_s = 1e-4);
-        let mut ledger = loaded(&lagging, -1.0, 0.0, -0.01);
-        ledger.velocity = Span {
+        let (mut ledger, mut ahead) = loaded(&lagging, -1.0, 0.0, -0.01);
+        ahead.velocity = Span {
             low: -2.0,
             high: -2.0,
         };
         let before = ledger.account_j;
-        let (torque, _) = ledger.torque(&lagging, &Tuning::DEFAULT, -1.0, 0.0);
+        let (torque, _) = ledger.torque(&lagging, &Tuning::DEFAULT, &ahead, -1.0, 0.0);
         assert_eq!(torque, 0.0);
         near(before - ledger.account_j, 0.01 * (0.5 * COUNT + 2.0 * 1e-4));
     }

@@ -143,8 +143,6 @@ pub struct Motion {
     position: Span,
     /// The velocity, rad/s.
     velocity: Span,
-    /// The acceleration in the last tick, rad/s².
-    acceleration: Span,
     /// The counts contradicted what was believed of the hand.
     contradicted: bool,
 }
@@ -165,10 +163,6 @@ impl Motion {
                 high: half,
             },
             velocity: UNKNOWN_VELOCITY,
-            acceleration: Span {
-                low: 0.0,
-                high: 0.0,
-            },
             contradicted: false,
         }
     }
@@ -193,12 +187,6 @@ impl Motion {
         self.velocity
     }
 
-    /// The acceleration in the last tick, rad/s².
-    #[must_use]
-    pub fn acceleration(&self) -> Span {
-        self.acceleration
-    }
-
     /// a_hand, rad/s².
     #[must_use]
     pub fn hand_rad_s2(&self) -> f32 {
@@ -212,7 +200,7 @@ impl Motion {
     }
 
     /// The intervals after one of time, under torques within `torque`, at most
-    /// `strongest` in magnitude, Nm.
+    /// `strongest` in magnitude, Nm. Returns the acceleration in it, rad/s².
     #[inline(always)]
     pub fn follow(
         &mut self,
@@ -221,7 +209,7 @@ impl Motion {
         interval: &Interval,
         torque: Span,
         strongest: f32,
-    ) {
+    ) -> Span {
         let duration_s = interval.duration_s;
         // The most that friction can be: at the mean speed, and what the torque can add to it.
         let speed =
@@ -229,13 +217,13 @@ impl Motion {
         let friction = mechanics.coulomb_high + mechanics.viscous_high * speed;
         let slowing = (torque.low - friction) * mechanics.mobility;
         let speeding = (torque.high + friction) * mechanics.mobility;
-        self.acceleration = Span {
+        let acceleration = Span {
             low: if slowing < 0.0 { slowing } else { 0.0 } - self.hand_rad_s2,
             high: if speeding > 0.0 { speeding } else { 0.0 } + self.hand_rad_s2,
         };
         let gained = Span {
-            low: self.acceleration.low * duration_s,
-            high: self.acceleration.high * duration_s,
+            low: acceleration.low * duration_s,
+            high: acceleration.high * duration_s,
         };
         let half_s = 0.5 * duration_s;
         let newest = Window {
@@ -283,6 +271,7 @@ impl Motion {
             high = half;
         }
         self.position = Span { low, high };
+        acceleration
     }
 
     /// a_hand = the largest of itself, `grown`, `seen` and c/2m.

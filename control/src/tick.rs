@@ -196,19 +196,19 @@ impl Controller {
         let before = self.encoder.count();
         let count = self.encoder.update(hardware_counter);
         let moved = count.wrapping_sub(before);
-        match self.plan.law {
+        let tick = match self.plan.law {
             Law::Static => self.fixed(count, moved, duration_s),
             Law::Raw | Law::Episode => self.clamped(count, moved, duration_s),
             Law::Ledger => self.ledgered(count, moved, duration_s),
             Law::Auto => self.automatic(count, moved, duration_s),
-        }
+        };
+        self.seen = true;
+        tick
     }
 
     /// What this tick sees of the time since the last.
     #[inline(always)]
-    fn look(&mut self, count: i32, moved: i32, duration_s: f32) -> Step {
-        let seen = self.seen;
-        self.seen = true;
+    fn look(&self, count: i32, moved: i32, duration_s: f32) -> Step {
         let rate = 1.0 / duration_s;
         let count_speed = self.plan.ledger.mechanics.count_rad * rate;
         let counts = moved as f32;
@@ -223,7 +223,7 @@ impl Controller {
             },
             count_speed,
             speed: counts.abs() * count_speed,
-            seen,
+            seen: self.seen,
             reading: self.plan.profile.read(count),
         }
     }
@@ -256,7 +256,6 @@ impl Controller {
     /// one for the margin.
     #[inline(always)]
     fn fixed(&mut self, count: i32, moved: i32, duration_s: f32) -> Tick {
-        self.seen = true;
         let plan = &self.plan;
         let reading = plan.profile.read(count);
         let counts = moved as f32;
@@ -405,14 +404,14 @@ impl Controller {
         if step.seen {
             self.ledger.enter(plan, &tuning, &step.interval);
         }
-        self.ledger.account(plan, &tuning, &step.interval, spring);
+        let ahead = self.ledger.account(plan, &tuning, &step.interval, spring);
         let mut wanted = spring;
         if plan.damping > 0.0 && !step.reading.free {
             wanted -= plan.damping * (step.interval.counts * step.count_speed);
         }
-        let (torque, reason) = self
-            .ledger
-            .torque(plan, &tuning, step.interval.counts, wanted);
+        let (torque, reason) =
+            self.ledger
+                .torque(plan, &tuning, &ahead, step.interval.counts, wanted);
         // Less than the whole torque is less than the whole stiffness.
         self.applied_nm_rad = if torque.abs() < spring.abs() {
             let stiffness = torque / step.reading.pull_rad;
@@ -426,7 +425,6 @@ impl Controller {
     /// The cheapest law that applies the whole demand, or the ledger.
     #[inline(never)]
     fn automatic(&mut self, count: i32, moved: i32, duration_s: f32) -> Tick {
-        let first = !self.seen;
         let step = self.look(count, moved, duration_s);
         let plan = &self.plan;
         // The static limit holds the whole demand; or that of the speeds of the moment does.
@@ -457,7 +455,6 @@ impl Controller {
             self.ledger = Ledger::new(&self.plan.ledger, self.ledger.held_nm, stored_j);
             self.in_force = Law::Ledger;
         }
-        self.seen = !first;
         self.ledgered(count, moved, duration_s)
     }
 
