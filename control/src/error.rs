@@ -50,16 +50,6 @@ pub enum ConfigError {
         /// 2³⁰ counts, rad.
         most: f64,
     },
-    /// A longest interval between ticks that is shorter than the period.
-    #[error(
-        "longest interval between ticks is {longest} s; accepted: the sample period, {period} s, or more"
-    )]
-    LongestInterval {
-        /// What was given, s.
-        longest: f64,
-        /// The sample period, s.
-        period: f64,
-    },
     /// A delay that the energy ledger cannot look across.
     #[error(
         "delay is {delay} s; accepted by this law: up to {limit} s, the shortest interval between ticks"
