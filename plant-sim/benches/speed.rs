@@ -15,11 +15,11 @@ use std::time::{Duration, SystemTime};
 
 use control::criterion::Dimensionless;
 use criterion::{Criterion, SamplingMode};
-use ode_solvers::{Dopri5, OutputType, System, Vector2};
 use plant_sim::display::{Display, quantised_force};
 use plant_sim::hold::{Hold, State};
 use plant_sim::kernel::{self, InstructionSet};
 use plant_sim::map::{Map, Shard, Span};
+use plant_sim::methods::{Dopri5, Method};
 use serde_json::Value;
 
 /// Samples of each run, but for the map of Fig. 5 and the recorded runs.
@@ -101,8 +101,9 @@ fn recorded(bench: &mut Bench, group: &'static str, tag: &str) {
     measure_recorded(bench, group, SCALAR, &records, exact_step);
     for tolerance in TOLERANCES {
         let name = format!("DOPRI5 {tolerance:e}");
+        let dopri5 = Dopri5 { tolerance };
         measure_recorded(bench, group, &name, &records, |hold, start| {
-            dopri5_step(hold, start, tolerance)
+            dopri5.sample(hold, start, quantised_force(start.position))
         });
     }
 }
@@ -246,135 +247,6 @@ fn record(case: &Value) -> Record {
 /// One sample in closed form.
 fn exact_step(hold: &Hold, start: State) -> State {
     hold.step(start, quantised_force(start.position)).end
-}
-
-/// One sample by DOPRI5 with events: friction keeps its sign until the velocity reaches
-/// zero; then the display sticks, or goes on with friction turned round.
-///
-/// As fast as the crate allows: the first step that it tries spans the whole rest of the
-/// interval, and a reversal costs one more integration, over velocity, not a search.
-fn dopri5_step(hold: &Hold, start: State, tolerance: f64) -> State {
-    let force = quantised_force(start.position);
-    let (mut time, mut state) = (0.0, start);
-    while time < hold.duration() {
-        let direction = if state.velocity == 0.0 {
-            hold.breakaway(force)
-        } else {
-            state.velocity
-        };
-        if direction == 0.0 {
-            break;
-        }
-        let motion = Motion {
-            inertia: hold.inertia(),
-            viscous: hold.viscous(),
-            drive: force - hold.coulomb().copysign(direction),
-            direction,
-        };
-        let start = Vector2::new(state.position, state.velocity);
-        let [before, end] = integrate(OverTime(motion), time, hold.duration(), start, tolerance);
-        if end.y[1] * direction >= 0.0 {
-            return State {
-                position: end.y[0],
-                velocity: end.y[1],
-            };
-        }
-        let start = Vector2::new(before.y[0], before.x);
-        let [_, turn] = integrate(OverVelocity(motion), before.y[1], 0.0, start, tolerance);
-        time = turn.y[1];
-        state = State {
-            position: turn.y[0],
-            velocity: 0.0,
-        };
-    }
-    state
-}
-
-/// A mass under a constant force and friction of one sign.
-#[derive(Clone, Copy)]
-struct Motion {
-    inertia: f64,
-    viscous: f64,
-    /// Force less Coulomb friction.
-    drive: f64,
-    /// Has the sign of the motion.
-    direction: f64,
-}
-
-impl Motion {
-    fn acceleration(&self, velocity: f64) -> f64 {
-        (self.drive - self.viscous * velocity) / self.inertia
-    }
-}
-
-/// Position and velocity over time, to the first step that ends beyond a reversal.
-struct OverTime(Motion);
-
-impl System<f64, Vector2<f64>> for OverTime {
-    fn system(&self, _time: f64, y: &Vector2<f64>, dy: &mut Vector2<f64>) {
-        dy[0] = y[1];
-        dy[1] = self.0.acceleration(y[1]);
-    }
-
-    fn solout(&mut self, _time: f64, y: &Vector2<f64>, _dy: &Vector2<f64>) -> bool {
-        y[1] * self.0.direction < 0.0
-    }
-}
-
-/// Position and time over velocity: at velocity 0 they are those of the reversal (Hénon).
-struct OverVelocity(Motion);
-
-impl System<f64, Vector2<f64>> for OverVelocity {
-    fn system(&self, velocity: f64, _y: &Vector2<f64>, dy: &mut Vector2<f64>) {
-        let time_per_velocity = 1.0 / self.0.acceleration(velocity);
-        dy[0] = velocity * time_per_velocity;
-        dy[1] = time_per_velocity;
-    }
-}
-
-/// A solution's value.
-struct Point {
-    x: f64,
-    y: Vector2<f64>,
-}
-
-/// The last two points of the solution from `x` to `x_end`. Sparse output: the crate's
-/// dense output is wrong where a step spans the interval.
-fn integrate(
-    system: impl System<f64, Vector2<f64>>,
-    x: f64,
-    x_end: f64,
-    y: Vector2<f64>,
-    tolerance: f64,
-) -> [Point; 2] {
-    let span = x_end - x;
-    // The crate's own defaults, but for the first step (`span`) and the output.
-    let (safety, beta, shrink_most, grow_most) = (0.9, 0.04, 0.2, 10.0);
-    let (most_steps, stiffness_test_every) = (100_000, 1_000);
-    let mut solver = Dopri5::from_param(
-        system,
-        x,
-        x_end,
-        span,
-        y,
-        tolerance,
-        tolerance,
-        safety,
-        beta,
-        shrink_most,
-        grow_most,
-        span,
-        span,
-        most_steps,
-        stiffness_test_every,
-        OutputType::Sparse,
-    );
-    solver.integrate().expect("a smooth equation");
-    let (xs, ys) = solver.results().get();
-    [2, 1].map(|from_end| Point {
-        x: xs[xs.len() - from_end],
-        y: ys[ys.len() - from_end],
-    })
 }
 
 // --- Measuring and printing ----------------------------------------------------------

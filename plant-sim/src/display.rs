@@ -116,8 +116,16 @@ impl Display {
     /// leaves 1e9 counts behind, and says what became of it. Memory does not depend on
     /// `samples`. `observe` sees every sample, the start as sample 0; it may end the run
     /// by returning false.
-    pub fn run(
+    pub fn run(&self, start: State, samples: u64, observe: impl FnMut(u64, State) -> bool) -> Run {
+        let step = |state, force| self.hold.step(state, force).end;
+        self.run_by(step, start, samples, observe)
+    }
+
+    /// [`Display::run`], moved over every interval by `step`, which takes the state and the held
+    /// force: see [`crate::methods`].
+    pub(crate) fn run_by(
         &self,
+        step: impl Fn(State, f64) -> State,
         start: State,
         samples: u64,
         mut observe: impl FnMut(u64, State) -> bool,
@@ -152,7 +160,7 @@ impl Display {
             if !go_on {
                 break both(Class::Undecided);
             }
-            state = self.hold.step(state, quantised_force(state.position)).end;
+            state = step(state, quantised_force(state.position));
             sample += 1;
         };
         Run {
