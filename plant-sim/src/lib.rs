@@ -9,7 +9,7 @@
 //! - [`energy`]: the audit of Sec. IV, (16) to (26);
 //! - [`outcome`]: rest, limit cycle or divergence, by two rules;
 //! - [`kernel`] and [`map`]: many displays at once, the plane of Fig. 5;
-//! - [`methods`]: integrators to compare with, behind one trait;
+//! - [`methods`]: integrators to compare with, behind one trait; [`precise`]: the truth, in 77 digits;
 //! - [`closed_loop`]: a knob in physical units under the controller of [`control`];
 //! - [`knob`]: the plant with what a real one adds, each opt-in: a [`hand`] that holds it,
 //!   a [`drive`] that delays, lags and rounds the torque, a [`clock`] that is not even;
@@ -40,6 +40,7 @@ pub mod lockstep;
 pub mod map;
 pub mod methods;
 pub mod outcome;
+pub mod precise;
 pub mod preset;
 pub mod rivals;
 pub mod search;

@@ -3,6 +3,7 @@
 use control::criterion::Dimensionless;
 use plant_sim::display::Display;
 use plant_sim::hold::State;
+use plant_sim::precise::{PreciseDisplay, double};
 use serde::Deserialize;
 
 #[derive(Deserialize)]
@@ -67,6 +68,17 @@ fn reproduce(recorded: &str) {
             case.n,
             run.end
         );
+        // The two arithmetics of many digits agree to the last of a double.
+        let precise = PreciseDisplay::new(display.parameters()).unwrap();
+        let end = precise.follow(start, case.n);
+        for (ours, theirs) in [(&end.position, xi), (&end.velocity, v)] {
+            let ours = double(ours);
+            assert!(
+                (ours - theirs).abs() <= f64::EPSILON * theirs.abs(),
+                "{}: {ours}, not {theirs}",
+                case.tag
+            );
+        }
         if let Some(stuck) = case.stuck {
             assert_eq!(
                 run.end.velocity == 0.0,

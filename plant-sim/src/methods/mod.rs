@@ -1,7 +1,8 @@
 //! Other ways to move a display over one held interval, to compare with and to learn from.
 //!
 //! All solve μ ξ̈ + β ξ̇ + σ sgn ξ̇ = φ (6), or (1), for a held force and stand behind one trait,
-//! [`Method`]. Everywhere else the plant is the exact map, [`Exact`].
+//! [`Method`]. Everywhere else the plant is the exact map, [`Exact`]; the truth that all are measured
+//! against is [`crate::precise`].
 //!
 //! | method | written | what it is |
 //! |---|---|---|
@@ -51,20 +52,6 @@ pub trait Method: fmt::Display + Send + Sync {
             samples,
             |_, _| true,
         )
-    }
-
-    /// Energy that the method adds to a display by itself within `samples` intervals: the sum,
-    /// over its own states, of H_T (17) after its interval less that after the exact one. Units
-    /// of K Δ².
-    fn added_energy(&self, display: &Display, start: State, samples: u64) -> f64 {
-        let (mut state, mut added) = (start, 0.0);
-        for _ in 0..samples {
-            let force = quantised_force(state.position);
-            let exact = display.hold().step(state, force).end;
-            state = self.sample(display.hold(), state, force);
-            added += display.stored_energy(state) - display.stored_energy(exact);
-        }
-        added
     }
 }
 
