@@ -95,7 +95,7 @@ impl Loaded {
 
 /// A device and how it is sampled, from a file.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SampledDevice {
+pub(crate) struct SampledDevice {
     pub device: Device<f64>,
     /// Size of a count before decimation, rad.
     pub hardware_count_rad: f64,
@@ -117,7 +117,7 @@ pub fn load(path: &Path) -> Result<Loaded> {
 }
 
 /// Reads and checks a device file: `[device]` and `[loop]`; a whole scene file will do.
-pub fn load_device(path: &Path) -> Result<SampledDevice> {
+pub(crate) fn load_device(path: &Path) -> Result<SampledDevice> {
     let text = read(path)?;
     let parsed = toml::from_str(&text).map_err(anyhow::Error::from);
     parsed
