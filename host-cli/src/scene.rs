@@ -24,6 +24,7 @@ use plant_sim::drive::Drive;
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
 use plant_sim::knob::{Knob, KnobError};
+use plant_sim::motor::{MOST_PERIODS, Motor};
 
 use accepted::{MOST, bound, finite, not_negative, plain, positive, refuse, share, signed};
 use file::{
@@ -144,6 +145,7 @@ pub fn parse(text: &str) -> Result<Loaded> {
         amplifier_tau_s: sampling.amplifier_tau_s,
         torque_step_nm: sampling.torque_step_nm,
     };
+    let motor = motor(&file.device)?;
     let hand = hand(&file.hand)?;
     let told = told(&file.believed, &sampled, sampling)?;
     let render = &file.render;
@@ -180,10 +182,18 @@ pub fn parse(text: &str) -> Result<Loaded> {
         position: file.start.angle_rad,
         velocity: file.start.velocity_rad_s,
     };
-    Knob::new(&sampled.device, &hand, &drive, clock.period_s, start)
-        .map_err(|error| knob_named(error, &sampled.device, &hand))?;
+    Knob::new(
+        &sampled.device,
+        &motor,
+        &hand,
+        &drive,
+        clock.period_s,
+        start,
+    )
+    .map_err(|error| knob_named(error, &sampled.device, &hand))?;
     let scene = Scene {
         device: sampled.device,
+        motor,
         drive,
         clock,
         hand,
@@ -406,6 +416,47 @@ fn shape(render: &RenderTable, count_rad: f64) -> Result<Shape> {
                 .period_rad
                 .context("render.period_rad is missing; accepted: it, with shape = \"detent\"")?,
         },
+    })
+}
+
+/// Cogging and stiction; each needs the key that says where it is felt.
+fn motor(table: &DeviceTable) -> Result<Motor> {
+    for (key, value, with, needed) in [
+        (
+            "device.cogging_nm",
+            table.cogging_nm,
+            table.cogging_per_rev,
+            "device.cogging_per_rev",
+        ),
+        (
+            "device.stiction_nm",
+            table.stiction_nm,
+            table.stribeck_rad_s,
+            "device.stribeck_rad_s",
+        ),
+    ] {
+        not_negative(key, value)?;
+        not_negative(needed, with)?;
+        if value > 0.0 && with == 0.0 {
+            bail!(
+                "{key} is {}, but {needed} is missing; accepted: both",
+                plain(value)
+            );
+        }
+    }
+    if table.cogging_per_rev > MOST_PERIODS {
+        let accepted = format!("up to {MOST_PERIODS} periods in a turn");
+        return Err(refuse(
+            "device.cogging_per_rev",
+            table.cogging_per_rev,
+            &accepted,
+        ));
+    }
+    Ok(Motor {
+        cogging_nm: table.cogging_nm,
+        cogging_per_rev: table.cogging_per_rev,
+        stiction_nm: table.stiction_nm,
+        stribeck_rad_s: table.stribeck_rad_s,
     })
 }
 

@@ -14,6 +14,7 @@ use crate::energy::{self, Exchange, Ledger};
 use crate::hand::Hand;
 use crate::hold::State;
 use crate::knob::{Knob, KnobError};
+use crate::motor::Motor;
 use crate::outcome::{Class, DIVERGED_COUNTS, Peaks};
 
 /// A knob at rest for this many samples has come to rest.
@@ -30,6 +31,8 @@ const OSCILLATION_REVERSALS: u64 = 6;
 pub struct Scene {
     /// The plant as it truly is.
     pub device: Device<f64>,
+    /// Its cogging and stiction.
+    pub motor: Motor,
     /// What the torque goes through, as it truly is.
     pub drive: Drive,
     /// When ticks truly run.
@@ -186,6 +189,7 @@ impl Scene {
         self.check_start()?;
         let mut knob = Knob::new(
             &self.device,
+            &self.motor,
             &self.hand,
             &self.drive,
             self.clock.period_s,

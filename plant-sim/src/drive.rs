@@ -86,6 +86,24 @@ pub(crate) struct Halves {
     pub(crate) lean: f64,
 }
 
+impl Halves {
+    /// A torque that does not vary.
+    pub(crate) fn even(torque: f64) -> Self {
+        Self {
+            mean: torque,
+            lean: 0.0,
+        }
+    }
+
+    /// A parabola through the torques at start, middle and end of a piece.
+    pub(crate) fn parabola([start, middle, end]: [f64; 3]) -> Self {
+        Self {
+            mean: (start + 4.0 * middle + end) / 6.0,
+            lean: (end - start) / 3.0,
+        }
+    }
+}
+
 /// A [`Drive`] at work.
 #[derive(Debug, Clone)]
 pub(crate) struct Actuator {
@@ -177,10 +195,7 @@ impl Actuator {
     /// target + deviation·φ₁(y), lean deviation·(2φ₁(y) − 4φ₂(y)).
     pub(crate) fn halves(&self, length: f64) -> Halves {
         if self.deviation == 0.0 {
-            return Halves {
-                mean: self.target,
-                lean: 0.0,
-            };
+            return Halves::even(self.target);
         }
         let y = length / self.drive.amplifier_tau_s;
         let two = phi2(y);

@@ -91,10 +91,7 @@ impl Hand {
         /// Below this θ the lean's factor is θ/3 within 1e-17.
         const SMALL: f64 = 1e-8;
         if !self.shakes() {
-            return Halves {
-                mean: self.push_nm,
-                lean: 0.0,
-            };
+            return Halves::even(self.push_nm);
         }
         let theta = 0.5 * TAU * self.shake_hz * length;
         let middle = TAU * phase + theta;

@@ -163,6 +163,14 @@ impl Hold {
         self.coulomb
     }
 
+    /// The same with another Coulomb friction.
+    ///
+    /// # Assumes
+    /// Finite and not below zero.
+    pub(crate) fn with_coulomb(self, coulomb: f64) -> Self {
+        Self { coulomb, ..self }
+    }
+
     /// The length of the interval, h.
     #[must_use]
     pub fn duration(&self) -> f64 {

@@ -1,7 +1,8 @@
-//! A knob with what a real one adds: the plant of [`Hold`], a [`Hand`] that holds it and a
-//! [`Drive`] between command and motor.
+//! A knob with what a real one adds: the plant of [`Hold`], a [`Hand`] that holds it, a
+//! [`Drive`] between command and motor and a [`Motor`] that cogs and sticks.
 //!
-//! (m + M) ẍ + (b + B) ẋ + K_h (x − rest) + c sgn ẋ = F_motor + push + shake·sin(2πft)
+//! (m + M) ẍ + (b + B) ẋ + K_h (x − rest) + (c + s·e^(−(ẋ/v_s)²)) sgn ẋ
+//!   = F_motor − A sin(N x) + push + shake·sin(2πft)
 //!
 //! With an amplifier without lag and a hand that does not shake, all torques are constant
 //! between the moments at which commands take effect: every interval is cut there and solved
@@ -19,6 +20,11 @@
 //!   make up plus twice the amplitude of the shake, h the length of the interval;
 //! - a turn or a break inside a piece is of second order in δ/1024: also within that bound.
 //!
+//! Cogging and stiction vary with the motion itself: what they are at the start, in the middle
+//! and at the end of a piece is found by iteration, and taken as a parabola through these. Pieces are
+//! at most a twentieth of the time in which they vary; fourth order again, and the same bound, with F the sum
+//! of all torques.
+//!
 //! Pieces are at most ¼ of τ and of 1/(2πf) and ½ of the plant's time, the shorter of
 //! (m + M)/(b + B) and √((m + M)/K_h); as the lag decays they grow, so that an
 //! amplifier much faster than the interval takes some 35 of them. Energies are those of the
@@ -27,9 +33,10 @@
 use control::ConfigError;
 use control::criterion::Device;
 
-use crate::drive::{Actuator, Drive};
+use crate::drive::{Actuator, Drive, Halves};
 use crate::hand::Hand;
 use crate::hold::{Hold, State};
+use crate::motor::Motor;
 use crate::sprung::{Moved, Sprung};
 
 /// What [`Knob::hold`] did. Energies in J: ½ m v² of the knob changes by
@@ -40,9 +47,9 @@ pub struct Interval {
     pub end: State,
     /// The largest |angle| within, rad.
     pub furthest_rad: f64,
-    /// ∫F_motor dx.
+    /// ∫F_motor dx, the motor's cogging included.
     pub motor_work_j: f64,
-    /// ∫(b v² + c|v|) dt of the knob alone, ≥ 0.
+    /// ∫(b v² + c|v|) dt of the knob alone, with its stiction, ≥ 0.
     pub friction_j: f64,
     /// The work of all the hand's forces on the knob, those that move and brake its own mass
     /// included.
@@ -96,6 +103,20 @@ const PIECES_OF_BOTH: f64 = 16.0;
 /// Pieces per unit of the plant's rate: the orders above hold for pieces shorter than it.
 const PIECES_OF_PLANT: f64 = 2.0;
 
+/// Pieces per unit of the rate at which cogging and stiction vary.
+const PIECES_OF_MOTION: f64 = 20.0;
+
+/// The fastest cogging and stiction that are followed, per period: beyond, a knob passes 80 periods of
+/// cogging within one of sampling, and pieces would become too many.
+const FASTEST_MOTION: f64 = 500.0;
+
+/// Cogging and stiction along a piece are found by iteration, each of which gains a digit or two:
+/// until they change by this part.
+const CLOSE: f64 = 1e-12;
+
+/// At most so many times.
+const ITERATIONS: u32 = 12;
+
 /// A piece with a turn is halved so many times.
 const HALVINGS: u32 = 10;
 
@@ -107,11 +128,12 @@ const HALVINGS: u32 = 10;
 /// use plant_sim::hand::Hand;
 /// use plant_sim::hold::State;
 /// use plant_sim::knob::Knob;
+/// use plant_sim::motor::Motor;
 /// let device = Device { inertia_kg_m2: 1.0, viscous_nm_s_rad: 0.0, coulomb_nm: 1.0 };
 /// // Half a period late: 3 Nm against 1 Nm of friction, for half a second.
 /// let drive = Drive { delay_s: 0.5, ..Drive::default() };
 /// let rest = State { position: 0.0, velocity: 0.0 };
-/// let mut knob = Knob::new(&device, &Hand::default(), &drive, 1.0, rest)?;
+/// let mut knob = Knob::new(&device, &Motor::default(), &Hand::default(), &drive, 1.0, rest)?;
 /// let interval = knob.hold(3.0, 1.0);
 /// assert_eq!(interval.end, State { position: 0.25, velocity: 1.0 });
 /// assert_eq!((interval.motor_work_j, interval.friction_j), (0.75, 0.25));
@@ -125,6 +147,7 @@ pub struct Knob {
     /// Nothing but the knob, and a torque that changes at ticks only.
     plain: bool,
     drive: Drive,
+    motor: Motor,
     /// The knob's own m, b.
     inertia: f64,
     viscous: f64,
@@ -151,6 +174,7 @@ impl Knob {
     /// than 10 turns in a period, a hand with √(K_h/(m + M)) beyond 1000 in a period.
     pub fn new(
         device: &Device<f64>,
+        motor: &Motor,
         hand: &Hand,
         drive: &Drive,
         period_s: f64,
@@ -158,6 +182,7 @@ impl Knob {
     ) -> Result<Self, KnobError> {
         // The knob's own numbers are refused under their own names.
         Hold::new(device, period_s)?;
+        motor.check()?;
         hand.check()?;
         drive.check(period_s)?;
         let joined = Device {
@@ -201,8 +226,9 @@ impl Knob {
         Ok(Self {
             state: start,
             hold,
-            plain: hand.is_absent() && drive.is_prompt(),
+            plain: hand.is_absent() && drive.is_prompt() && motor.is_even(),
             drive: *drive,
+            motor: *motor,
             inertia: device.inertia_kg_m2,
             viscous: device.viscous_nm_s_rad,
             joined,
@@ -295,9 +321,11 @@ impl Knob {
             let longest = self.longest_piece(length - left);
             if longest == f64::INFINITY {
                 let start = self.state;
-                let (motor, hand) = (self.actuator.torque(), self.hand.push_nm);
-                let moved = self.half(&self.hold_for(left), start, motor + hand);
-                self.enter(&moved, motor, hand, interval);
+                let hand = self.hand.push_nm;
+                let motor = self.actuator.torque() + self.motor.cogging(start.position);
+                let coulomb = self.coulomb_at(start.velocity);
+                let moved = self.half(&self.hold_for(left), start, motor + hand, coulomb);
+                self.enter(&moved, motor, hand, coulomb, interval);
                 self.pass(left);
                 return;
             }
@@ -330,29 +358,103 @@ impl Knob {
         if self.hand.shakes() {
             piece = piece.min(longest(std::f64::consts::TAU * self.hand.shake_hz));
         }
+        if !self.motor.is_even() {
+            piece = piece.min(self.longest_even_piece(piece));
+        }
         piece
+    }
+
+    /// The longest piece over which cogging and stiction vary by little, where other torques vary
+    /// over `piece`.
+    fn longest_even_piece(&self, piece: f64) -> f64 {
+        let State { position, velocity } = self.state;
+        let torque = self.actuator.torque() + self.hand.torque(self.phase);
+        let net = self.net(self.state, torque + self.motor.cogging(position));
+        let coulomb = self.coulomb_at(velocity);
+        if velocity == 0.0 && net.abs() <= coulomb && piece == f64::INFINITY {
+            return piece; // it sticks
+        }
+        let inertia = self.joined.inertia_kg_m2;
+        let braked = coulomb + self.joined.viscous_nm_s_rad * velocity.abs();
+        let varying = self.motor.cogging_nm + self.motor.stiction_nm;
+        let acceleration = (net.abs() + braked + varying) / inertia;
+        let rate = self.motor.rate(velocity.abs(), acceleration);
+        if rate == 0.0 {
+            return f64::INFINITY; // nothing accelerates it
+        }
+        let rate = rate.min(FASTEST_MOTION / self.hold.duration());
+        (PIECES_OF_MOTION * rate)
+            .max(PIECES_OF_PLANT * self.plant_rate)
+            .recip()
+    }
+
+    /// Coulomb friction and stiction at a velocity, Nm.
+    fn coulomb_at(&self, velocity: f64) -> f64 {
+        self.joined.coulomb_nm + self.motor.stiction(velocity)
+    }
+
+    /// What the hand's spring leaves of a torque, Nm.
+    fn net(&self, state: State, torque: f64) -> f64 {
+        match &self.spring {
+            Some(spring) => spring.net(state.position, torque),
+            None => torque,
+        }
     }
 
     /// A piece of a varying torque, in its two halves, or in smaller pieces around a turn.
     fn piece(&mut self, length: f64, halvings: u32, interval: &mut Interval) {
         let start = self.state;
         let half = 0.5 * length;
-        let motor = self.actuator.halves(length);
-        let hand = self.hand.halves(self.phase, length);
-        let (motor1, motor2) = (motor.mean - motor.lean, motor.mean + motor.lean);
-        let (hand1, hand2) = (hand.mean - hand.lean, hand.mean + hand.lean);
         let hold = self.hold_for(half);
-        let first = self.half(&hold, start, motor1 + hand1);
-        let second = self.half(&hold, first.end, motor2 + hand2);
+        let drive = self.actuator.halves(length);
+        let hand = self.hand.halves(self.phase, length);
+        let (hand1, hand2) = (hand.mean - hand.lean, hand.mean + hand.lean);
+        let mut cogging = Halves::even(self.motor.cogging(start.position));
+        let mut coulomb = Halves::even(self.coulomb_at(start.velocity));
+        let mut iteration = 0;
+        let [first, second] = loop {
+            let motor1 = drive.mean - drive.lean + cogging.mean - cogging.lean;
+            let motor2 = drive.mean + drive.lean + cogging.mean + cogging.lean;
+            let coulomb1 = (coulomb.mean - coulomb.lean).max(0.0);
+            let coulomb2 = (coulomb.mean + coulomb.lean).max(0.0);
+            let first = self.half(&hold, start, motor1 + hand1, coulomb1);
+            let second = self.half(&hold, first.end, motor2 + hand2, coulomb2);
+            let parts = [
+                (first, motor1, hand1, coulomb1),
+                (second, motor2, hand2, coulomb2),
+            ];
+            iteration += 1;
+            if self.motor.is_even() || first.turned || second.turned || iteration == ITERATIONS {
+                break parts;
+            }
+            // The halves take the knob to the place of the varying torque in the middle, but too
+            // late: there a torque of this slope has done a quarter of the lean more.
+            let direction = (second.end.velocity + start.velocity).signum();
+            let lean = drive.lean + hand.lean + cogging.lean - direction * coulomb.lean;
+            let late = 0.25 * lean * half / self.joined.inertia_kg_m2;
+            let middle = State {
+                velocity: first.end.velocity + late,
+                ..first.end
+            };
+            let states = [start, middle, second.end];
+            let before = (cogging.mean, coulomb.mean);
+            cogging = Halves::parabola(states.map(|state| self.motor.cogging(state.position)));
+            coulomb = Halves::parabola(states.map(|state| self.coulomb_at(state.velocity)));
+            let close = CLOSE * (self.motor.cogging_nm + self.motor.stiction_nm);
+            if (cogging.mean - before.0).abs() + (coulomb.mean - before.1).abs() <= close {
+                break parts;
+            }
+        };
 
-        let turns = first.turned || second.turned;
-        if halvings > 0 && (turns || self.may_turn_unseen(start, second.end, length)) {
+        let turns = first.0.turned || second.0.turned;
+        if halvings > 0 && (turns || self.may_turn_unseen(start, second.0.end, length)) {
             self.piece(half, halvings - 1, interval);
             self.piece(half, halvings - 1, interval);
             return;
         }
-        self.enter(&first, motor1, hand1, interval);
-        self.enter(&second, motor2, hand2, interval);
+        for (moved, motor, hand, coulomb) in [first, second] {
+            self.enter(&moved, motor, hand, coulomb, interval);
+        }
         self.pass(length);
     }
 
@@ -365,18 +467,18 @@ impl Knob {
     fn may_turn_unseen(&self, start: State, end: State, length: f64) -> bool {
         let now = self.actuator.torque() + self.hand.torque(self.phase);
         let later = self.actuator.torque_after(length) + self.hand.torque(self.phase_after(length));
-        let net = |state: State, force: f64| match &self.spring {
-            Some(spring) => spring.net(state.position, force),
-            None => force,
+        let net = |state: State, torque: f64| {
+            self.net(state, torque + self.motor.cogging(state.position))
         };
         if start.velocity == 0.0 {
-            let driving = |force| self.hold.breakaway(net(start, force));
+            let stuck = self.hold.with_coulomb(self.coulomb_at(0.0));
+            let driving = |torque| stuck.breakaway(net(start, torque));
             let (now, later) = (driving(now), driving(later));
             return (now > 0.0) != (later > 0.0) || (now < 0.0) != (later < 0.0);
         }
-        let along = |state: State, force: f64| {
-            let force = net(state, force) - self.joined.viscous_nm_s_rad * state.velocity;
-            force * start.velocity.signum() - self.joined.coulomb_nm
+        let along = |state: State, torque: f64| {
+            let torque = net(state, torque) - self.joined.viscous_nm_s_rad * state.velocity;
+            torque * start.velocity.signum() - self.coulomb_at(state.velocity)
         };
         let (now, later) = (along(start, now), along(end, later));
         let momentum = self.joined.inertia_kg_m2 * start.velocity.abs();
@@ -402,13 +504,14 @@ impl Knob {
         }
     }
 
-    /// The motion of knob and hand under a constant force for the time of `hold`.
-    fn half(&self, hold: &Hold, start: State, force: f64) -> Moved {
+    /// The motion of knob and hand under a constant force and friction for the time of `hold`.
+    fn half(&self, hold: &Hold, start: State, force: f64, coulomb: f64) -> Moved {
         if let Some(spring) = &self.spring {
+            let spring = spring.with_coulomb(coulomb);
             return spring.advance(start, force, hold.duration());
         }
         // From zero, as the displacement then keeps its digits.
-        let step = hold.step(
+        let step = hold.with_coulomb(coulomb).step(
             State {
                 position: 0.0,
                 ..start
@@ -443,7 +546,14 @@ impl Knob {
     ///
     /// What all friction takes comes from the balance of knob, hand and spring; the path
     /// tells the part of Coulomb friction; the rest is viscous and shared as b to b + B.
-    fn enter(&mut self, moved: &Moved, motor: f64, hand: f64, interval: &mut Interval) {
+    fn enter(
+        &mut self,
+        moved: &Moved,
+        motor: f64,
+        hand: f64,
+        coulomb: f64,
+        interval: &mut Interval,
+    ) {
         let dx = moved.displacement;
         let (start, end) = (self.state, moved.end);
         let stored = match &self.spring {
@@ -454,7 +564,7 @@ impl Knob {
             None => 0.0,
         };
         let taken = (motor + hand) * dx - stored - gained(self.joined.inertia_kg_m2, start, end);
-        let coulomb = self.joined.coulomb_nm * moved.path;
+        let coulomb = coulomb * moved.path;
         let viscous = (taken - coulomb).max(0.0);
         let share = if self.viscous > 0.0 {
             self.viscous / self.joined.viscous_nm_s_rad

@@ -12,7 +12,8 @@
 //! - [`methods`]: integrators to compare with, behind one trait; [`precise`]: the truth, in 77 digits;
 //! - [`closed_loop`]: a knob in physical units under the controller of [`control`];
 //! - [`knob`]: the plant with what a real one adds, each opt-in: a [`hand`] that holds it,
-//!   a [`drive`] that delays, lags and rounds the torque, a [`clock`] that is not even;
+//!   a [`drive`] that delays, lags and rounds the torque, a [`motor`] that cogs and sticks, a [`clock`]
+//!   that is not even;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
 //! - [`preset`]: devices known by name;
 //! - [`trial`], [`campaign`], [`search`]: what counts as a bad run of a law, random runs, and runs that
@@ -39,6 +40,7 @@ pub mod knob;
 pub mod lockstep;
 pub mod map;
 pub mod methods;
+pub mod motor;
 pub mod outcome;
 pub mod precise;
 pub mod preset;

@@ -97,6 +97,11 @@ impl Sprung {
         }
     }
 
+    /// The same with another Coulomb friction, finite and not below zero.
+    pub(crate) fn with_coulomb(self, coulomb: f64) -> Self {
+        Self { coulomb, ..self }
+    }
+
     /// The force on the mass at rest, but for friction.
     pub(crate) fn net(&self, position: f64, force: f64) -> f64 {
         force - self.stiffness * (position - self.rest)

@@ -17,6 +17,7 @@ use crate::closed_loop::{Potential, Report, Sample, Scene, SceneError};
 use crate::drive::Drive;
 use crate::hand::Hand;
 use crate::hold::State;
+use crate::motor::Motor;
 use crate::outcome::Class;
 
 /// A device and how it is sampled.
@@ -59,6 +60,7 @@ impl Sampled {
     pub fn scene(&self, config: Config, start: State, samples: u64) -> Scene {
         Scene {
             device: self.device,
+            motor: Motor::default(),
             drive: Drive::default(),
             clock: Clock::even(self.period_s),
             hand: Hand::default(),

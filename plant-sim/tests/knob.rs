@@ -9,6 +9,7 @@ use plant_sim::energy;
 use plant_sim::hand::Hand;
 use plant_sim::hold::{Hold, State};
 use plant_sim::knob::{Interval, Knob};
+use plant_sim::motor::Motor;
 use proptest::prelude::*;
 
 /// In units in which m and the period are 1.
@@ -25,7 +26,25 @@ fn at(position: f64, velocity: f64) -> State {
 }
 
 fn knob(device: &Device<f64>, hand: &Hand, drive: &Drive, start: State) -> Knob {
-    Knob::new(device, hand, drive, 1.0, start).unwrap()
+    Knob::new(device, &Motor::default(), hand, drive, 1.0, start).unwrap()
+}
+
+/// Motors that cog, stick, or both.
+fn motors() -> impl Strategy<Value = Motor> {
+    (
+        none_or(0.01..1.0_f64),
+        0.5..20.0_f64,
+        none_or(0.01..1.0_f64),
+        0.01..2.0_f64,
+    )
+        .prop_map(
+            |(cogging_nm, cogging_per_rev, stiction_nm, stribeck_rad_s)| Motor {
+                cogging_nm,
+                cogging_per_rev,
+                stiction_nm,
+                stribeck_rad_s,
+            },
+        )
 }
 
 fn none_or(values: impl Strategy<Value = f64>) -> impl Strategy<Value = f64> {
@@ -97,6 +116,7 @@ fn energies(device: &Device<f64>, hand: &Hand, start: State, interval: &Interval
 #[derive(Clone, Copy)]
 struct Rk {
     device: Device<f64>,
+    motor: Motor,
     hand: Hand,
     tau: f64,
     target: f64,
@@ -108,7 +128,24 @@ struct Rk {
 impl Rk {
     fn net(&self, time: f64, y: &[f64; 6]) -> f64 {
         let motor = if self.tau > 0.0 { y[2] } else { self.target };
-        motor + self.pull(time, y[0])
+        motor + self.cogging(y[0]) + self.pull(time, y[0])
+    }
+
+    fn cogging(&self, x: f64) -> f64 {
+        -self.motor.cogging_nm * (self.motor.cogging_per_rev * x).sin()
+    }
+
+    /// Friction but the viscous, at a speed.
+    fn coulomb(&self, v: f64) -> f64 {
+        let Motor {
+            stiction_nm,
+            stribeck_rad_s,
+            ..
+        } = self.motor;
+        if stiction_nm == 0.0 {
+            return self.device.coulomb_nm;
+        }
+        self.device.coulomb_nm + stiction_nm * (-(v / stribeck_rad_s).powi(2)).exp()
     }
 
     fn pull(&self, time: f64, x: f64) -> f64 {
@@ -129,14 +166,14 @@ impl Rk {
         if sign == 0.0 {
             return [0.0, 0.0, motor_rate, 0.0, 0.0, 0.0];
         }
-        let braked = (d.viscous_nm_s_rad + h.damping_nm_s_rad) * v + d.coulomb_nm * sign;
+        let braked = (d.viscous_nm_s_rad + h.damping_nm_s_rad) * v + self.coulomb(v) * sign;
         let a = (self.net(time, y) - braked) / (d.inertia_kg_m2 + h.inertia_kg_m2);
         [
             v,
             a,
             motor_rate,
-            motor * v,
-            (d.viscous_nm_s_rad * v + d.coulomb_nm * sign) * v,
+            (motor + self.cogging(y[0])) * v,
+            (d.viscous_nm_s_rad * v + self.coulomb(v) * sign) * v,
             (self.pull(time, y[0]) - h.damping_nm_s_rad * v - h.inertia_kg_m2 * a) * v,
         ]
     }
@@ -158,7 +195,7 @@ impl Rk {
     /// Over `dt`, events bisected to the last bit.
     fn step(&mut self, mut dt: f64) {
         while dt > 0.0 {
-            let c = self.device.coulomb_nm;
+            let c = self.coulomb(0.0);
             let net = self.net(self.time, &self.y);
             let v = self.y[1];
             let sign = if v != 0.0 {
@@ -212,14 +249,16 @@ impl Rk {
 /// Runs both ways, and the largest differences: of position, velocity, energies.
 fn against_rk(
     device: &Device<f64>,
+    motor: &Motor,
     hand: &Hand,
     drive: &Drive,
     start: State,
     commands: &[f64],
 ) -> [f64; 3] {
-    let mut knob = knob(device, hand, drive, start);
+    let mut knob = Knob::new(device, motor, hand, drive, 1.0, start).unwrap();
     let mut rk = Rk {
         device: *device,
+        motor: *motor,
         hand: *hand,
         tau: drive.amplifier_tau_s,
         target: 0.0,
@@ -303,12 +342,13 @@ proptest! {
     #[test]
     fn energies_balance(
         device in devices(),
+        motor in prop_oneof![Just(Motor::default()), motors()],
         hand in prop_oneof![Just(Hand::default()), shaking_hands(), steady_hands()],
         drive in prop_oneof![Just(Drive::default()), lags()],
         start in starts(),
         commands in commands(),
     ) {
-        let mut knob = knob(&device, &hand, &drive, start);
+        let mut knob = Knob::new(&device, &motor, &hand, &drive, 1.0, start).unwrap();
         for command in commands {
             let before = knob.state();
             let interval = knob.hold(command, 1.0);
@@ -400,7 +440,7 @@ proptest! {
         commands in commands(),
     ) {
         let drive = Drive { delay_s, ..Drive::default() };
-        let worst = against_rk(&device, &hand, &drive, start, &commands);
+        let worst = against_rk(&device, &Motor::default(), &hand, &drive, start, &commands);
         prop_assert!(worst.iter().all(|&error| error < 1e-8), "{worst:?}");
     }
 
@@ -414,14 +454,37 @@ proptest! {
         commands in commands(),
     ) {
         let drive = Drive { delay_s: drive.delay_s.fract(), ..drive };
-        let worst = against_rk(&device, &hand, &drive, start, &commands);
+        let worst = against_rk(&device, &Motor::default(), &hand, &drive, start, &commands);
         // In every interval torques range over 8 Nm at most.
         prop_assert!(worst.iter().all(|&error| error < 2e-5), "{worst:?}");
 
-        let worst = against_rk(&device, &hand, &drive, start, &commands[..1]);
+        let worst = against_rk(&device, &Motor::default(), &hand, &drive, start, &commands[..1]);
         let range = (commands[0].abs() + 2.0 * hand.shake_nm.abs()) / (1.0 + hand.inertia_kg_m2);
         prop_assert!(worst[0] < 1e-6 * range + 1e-9, "{worst:?}, range {range}");
         prop_assert!(worst[1] < 1e-6 * range + 1e-9, "{worst:?}, range {range}");
+    }
+
+    /// Cogging and stiction, alone and with all the rest.
+    #[test]
+    fn cogging_and_stiction_agree_with_runge_kutta(
+        device in devices(),
+        motor in motors(),
+        hand in prop_oneof![3 => Just(Hand::default()), 1 => steady_hands(), 1 => shaking_hands()],
+        drive in prop_oneof![2 => Just(Drive::default()), 1 => lags()],
+        start in starts(),
+        commands in commands(),
+    ) {
+        let drive = Drive { delay_s: drive.delay_s.fract(), ..drive };
+        let worst = against_rk(&device, &motor, &hand, &drive, start, &commands[..1]);
+        let stretch = (start.position - hand.rest_rad).abs();
+        let swing = hand.stiffness_nm_rad.sqrt() * start.velocity.abs();
+        let torques = commands[0].abs() + 2.0 * hand.shake_nm.abs() + hand.push_nm.abs()
+            + hand.stiffness_nm_rad * stretch + swing
+            + motor.cogging_nm + motor.stiction_nm;
+        let range = torques / (1.0 + hand.inertia_kg_m2);
+        prop_assert!(worst[0] < 1e-6 * range + 1e-9, "{worst:?}, range {range}");
+        prop_assert!(worst[1] < 1e-6 * range + 1e-9, "{worst:?}, range {range}");
+        prop_assert!(worst[2] < 1e-5 * (1.0 + range), "{worst:?}, range {range}");
     }
 
     /// An interval in one, and in a thousand parts with as many times more pieces: fast lags,
@@ -460,6 +523,50 @@ proptest! {
         let scale = range * (one.furthest_rad + start.position.abs()) + one.friction_j;
         prop_assert!(worst < 1e-5 * scale + rounding, "friction: {worst} of {scale}");
     }
+}
+
+/// A knob that cogs swings about a detent of its own, ω = √(A N/m), and one that sticks needs more
+/// to break loose than to go on.
+#[test]
+fn cogging_holds_and_stiction_sticks() {
+    let motor = |cogging_nm, stiction_nm| Motor {
+        cogging_nm,
+        cogging_per_rev: 4.0,
+        stiction_nm,
+        stribeck_rad_s: 0.1,
+    };
+    let run = |motor, c, start, command, periods: u32| {
+        let drive = Drive::default();
+        let mut knob = Knob::new(
+            &device(0.0, c),
+            &motor,
+            &Hand::default(),
+            &drive,
+            1.0,
+            start,
+        )
+        .unwrap();
+        for _ in 0..periods {
+            knob.hold(command, 1.0);
+        }
+        knob.state()
+    };
+    // A small swing of ω = 2: a whole turn of it in π s, 3 s are 6 rad.
+    let end = run(motor(1.0, 0.0), 0.0, at(1e-4, 0.0), 0.0, 3);
+    assert!(
+        (end.position - 1e-4 * 6.0_f64.cos()).abs() < 1e-9,
+        "{end:?}"
+    );
+    // Held by its cogging up to A, not beyond.
+    assert!(run(motor(1.0, 0.0), 0.1, at(0.0, 0.0), 0.6, 50).position < 0.4);
+    assert!(run(motor(1.0, 0.0), 0.0, at(0.0, 0.0), 1.5, 50).position > 10.0);
+    // 0.5 + 0.2 to break loose, 0.5 to go on.
+    assert_eq!(
+        run(motor(0.0, 0.2), 0.5, at(0.0, 0.0), 0.69, 10),
+        at(0.0, 0.0)
+    );
+    assert!(run(motor(0.0, 0.2), 0.5, at(0.0, 0.0), 0.71, 10).velocity > 1.5);
+    assert!(run(motor(0.0, 0.2), 0.5, at(0.0, 1.0), 0.51, 10).velocity > 1.0);
 }
 
 /// Commands that take effect at once, through a lag, without friction:
@@ -530,7 +637,7 @@ fn what_is_no_knob_is_refused() {
     let ideal = Drive::default();
     let start = at(0.0, 0.0);
     let refused = |device: &Device<f64>, hand: &Hand, drive: &Drive, period: f64, start| {
-        Knob::new(device, hand, drive, period, start)
+        Knob::new(device, &Motor::default(), hand, drive, period, start)
             .unwrap_err()
             .to_string()
     };
@@ -593,6 +700,37 @@ fn what_is_no_knob_is_refused() {
     assert_eq!(
         refused(&good, &no_hand, &ideal, 0.0, start),
         "sample period (s) is 0; accepted: a finite number above 0"
+    );
+    let uneven = |cogging_nm, cogging_per_rev, stiction_nm, stribeck_rad_s| {
+        let motor = Motor {
+            cogging_nm,
+            cogging_per_rev,
+            stiction_nm,
+            stribeck_rad_s,
+        };
+        Knob::new(&good, &motor, &no_hand, &ideal, 1.0, start)
+            .unwrap_err()
+            .to_string()
+    };
+    assert_eq!(
+        uneven(-1.0, 0.0, 0.0, 0.0),
+        "cogging (Nm) is -1; accepted: a finite number, 0 or more"
+    );
+    assert_eq!(
+        uneven(0.0, 0.0, f64::NAN, 0.0),
+        "stiction (Nm) is NaN; accepted: a finite number, 0 or more"
+    );
+    assert_eq!(
+        uneven(0.1, 0.0, 0.0, 0.0),
+        "cogging periods in a turn is 0; accepted: a finite number above 0"
+    );
+    assert_eq!(
+        uneven(0.0, 0.0, 0.1, 0.0),
+        "Stribeck velocity (rad/s) is 0; accepted: a finite number above 0"
+    );
+    assert_eq!(
+        uneven(0.1, 2e4, 0.0, 0.0),
+        "cogging periods in a turn is 20000; accepted: up to 10000, far beyond any motor"
     );
     let late = Drive {
         delay_s: 1.5,

@@ -13,6 +13,7 @@ use plant_sim::drive::Drive;
 use plant_sim::hand::Hand;
 use plant_sim::hold::State as Motion;
 use plant_sim::lockstep::{LockstepError, Order, Plant};
+use plant_sim::motor::Motor;
 use plant_sim::outcome::Class;
 use plant_sim::preset::preset;
 use protocol::{
@@ -205,6 +206,7 @@ fn figure_6_holds_in_the_firmware_set_up_over_serial_alone() {
         let parameters = firmware::settings::DEFAULTS.with(&changes);
         let scene = Scene {
             device: re35(),
+            motor: Motor::default(),
             drive: Drive::default(),
             clock: Clock {
                 period_s: f64::from(parameters.sample_period_s),

@@ -11,6 +11,7 @@ use plant_sim::display::Display;
 use plant_sim::drive::Drive;
 use plant_sim::hand::Hand;
 use plant_sim::hold::{Hold, State};
+use plant_sim::motor::Motor;
 use plant_sim::outcome::Class;
 use plant_sim::preset::preset;
 use proptest::prelude::*;
@@ -22,6 +23,7 @@ fn re35() -> Device<f64> {
 fn scene(counts_per_rev: f64, decimation: u32, stiffness: f64, velocity: f64) -> Scene {
     Scene {
         device: re35(),
+        motor: Motor::default(),
         drive: Drive::default(),
         clock: Clock {
             period_s: 1e-3,

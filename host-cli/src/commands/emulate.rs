@@ -11,6 +11,7 @@ use plant_sim::drive::Drive;
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
 use plant_sim::lockstep::Plant;
+use plant_sim::motor::Motor;
 use plant_sim::preset::PRESETS;
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -70,8 +71,13 @@ pub fn run(args: &Args) -> Result<()> {
     let (plant, start) = match &args.scene {
         Some(path) => {
             let scene = scene::load(path)?.scene;
-            if scene.hand != Hand::default() || scene.drive != Drive::default() {
-                eprintln!("the scene's hand, delay, lag and torque steps are not emulated");
+            if scene.hand != Hand::default()
+                || scene.drive != Drive::default()
+                || scene.motor != Motor::default()
+            {
+                eprintln!(
+                    "the scene's hand, delay, lag, torque steps, cogging and stiction are not emulated"
+                );
             }
             let counts = std::f64::consts::TAU / scene.config.hardware_count_rad;
             let plant = Plant::new(scene.device, counts, scene.start.position);

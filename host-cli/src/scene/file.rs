@@ -48,6 +48,14 @@ pub struct DeviceTable {
     pub coulomb_nm: f64,
     pub counts_per_rev: Option<f64>,
     pub count_rad: Option<f64>,
+    #[serde(default)]
+    pub cogging_nm: f64,
+    #[serde(default)]
+    pub cogging_per_rev: f64,
+    #[serde(default)]
+    pub stiction_nm: f64,
+    #[serde(default)]
+    pub stribeck_rad_s: f64,
 }
 
 #[derive(Deserialize)]
