@@ -17,7 +17,7 @@ use control::criterion::{Criterion, Device, Sampling};
 use control::encoder::EncoderConfig;
 use control::plan::Plan;
 use control::shape::{Profile, Shape};
-use control::tick::Controller;
+use control::tick::{Controller, Tick};
 use plant_sim::clock::Clock;
 use plant_sim::closed_loop::{Report, Sample, Scene, SceneError};
 use plant_sim::drive::Drive;
@@ -46,11 +46,13 @@ impl Loaded {
     /// # Errors
     /// A start out of the counts' reach.
     pub fn run(&self, observe: impl FnMut(&Sample) -> bool) -> Result<Report, SceneError> {
+        self.scene.run_under(self.control(), observe)
+    }
+
+    /// What its controller does at the start and from then on.
+    pub fn control(&self) -> impl FnMut(u32, f32) -> Tick + use<> {
         let mut controller = Controller::new(self.plan, self.scene.start_count());
-        self.scene.run_under(
-            |counter, duration_s| controller.tick(counter, duration_s),
-            observe,
-        )
+        move |counter, duration_s| controller.tick(counter, duration_s)
     }
 
     /// When a sample is, s: k·T to the last digit where ticks are even.

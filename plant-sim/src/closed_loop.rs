@@ -180,21 +180,40 @@ impl Scene {
     /// See [`SceneError`].
     pub fn run_under(
         &self,
-        mut control: impl FnMut(u32, f32) -> Tick,
-        mut observe: impl FnMut(&Sample) -> bool,
+        control: impl FnMut(u32, f32) -> Tick,
+        observe: impl FnMut(&Sample) -> bool,
     ) -> Result<Report, SceneError> {
-        let config = &self.config;
-        let count_rad = config.count_rad();
+        self.check()?;
+        Ok(self.run_plant(self.knob()?, control, observe))
+    }
+
+    /// Refuses a clock that is none, and a start that cannot be counted.
+    pub(crate) fn check(&self) -> Result<(), SceneError> {
         self.clock.check()?;
-        self.check_start()?;
-        let mut knob = Knob::new(
+        self.check_start()
+    }
+
+    /// The knob at its start.
+    pub(crate) fn knob(&self) -> Result<Knob, KnobError> {
+        Knob::new(
             &self.device,
             &self.motor,
             &self.hand,
             &self.drive,
             self.clock.period_s,
             self.start,
-        )?;
+        )
+    }
+
+    /// [`Scene::run_under`] with a knob at its start.
+    pub(crate) fn run_plant(
+        &self,
+        mut knob: Knob,
+        mut control: impl FnMut(u32, f32) -> Tick,
+        mut observe: impl FnMut(&Sample) -> bool,
+    ) -> Report {
+        let config = &self.config;
+        let count_rad = config.count_rad();
         let hardware_count = |angle: f64| (angle / config.hardware_count_rad).floor() as i64;
         let potential = Potential::new(&config.shape, count_rad);
         let kinetic = |state: State| energy::kinetic(self.device.inertia_kg_m2, state.velocity);
@@ -329,7 +348,7 @@ impl Scene {
                 Class::Undecided
             }
         });
-        Ok(report)
+        report
     }
 
     /// The largest speed that the start can turn into under a spring of `stiffness_nm_rad`:

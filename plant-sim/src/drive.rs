@@ -3,7 +3,9 @@
 use std::collections::VecDeque;
 
 use control::ConfigError;
+use control::criterion::Device;
 
+use crate::hold::State;
 use crate::knob::KnobError;
 use crate::series::{phi1, phi2};
 
@@ -100,6 +102,65 @@ impl Halves {
         Self {
             mean: (start + 4.0 * middle + end) / 6.0,
             lean: (end - start) / 3.0,
+        }
+    }
+}
+
+/// What stands for delay t_d and lag τ when the torque changes by −1 Nm: a jump of velocity and
+/// position at the tick.
+///
+/// The old torque F + d lasts t_d, then d·e^(−t/τ) is left of it. A mass with a = b/m that does not turn
+/// meanwhile moves, once that is over, as if at the tick
+///
+/// Δv = (d/m)·(t_d ψ₁ + e^(at_d) τ′),  Δx = −(d/m)·(t_d² ψ₂ + τ′(t_d ψ₁ + τ)),
+///
+/// τ′ = τ/(1 − aτ), ψ₁ = (e^y − 1)/y, ψ₂ = (e^y − 1 − y)/y², y = a·t_d: exactly. What rests is not
+/// kicked: friction takes the impulse.
+///
+/// # Assumes
+/// aτ < 1.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Impulse {
+    /// Δv per Nm.
+    pub(crate) velocity: f64,
+    /// Δx per Nm.
+    pub(crate) position: f64,
+    /// The torque until now, Nm.
+    torque_nm: f64,
+}
+
+impl Impulse {
+    pub(crate) fn new(drive: &Drive, device: &Device<f64>) -> Self {
+        let (delay, tau) = (drive.delay_s, drive.amplifier_tau_s);
+        let mobility = device.inertia_kg_m2.recip();
+        let rate = device.viscous_nm_s_rad * mobility;
+        let y = rate * delay;
+        // ψ₁(y) = e^y φ₁(y), ψ₂(y) = (ψ₁(y) − 1)/y, and ½ + y/6 where that would cancel.
+        let grown = y.exp();
+        let psi1 = grown * phi1(y, phi2(y));
+        let psi2 = if y < 1e-4 {
+            0.5 + y / 6.0 + y * y / 24.0
+        } else {
+            (psi1 - 1.0) / y
+        };
+        let tau1 = tau / (1.0 - rate * tau);
+        Self {
+            velocity: mobility * (delay * psi1 + grown * tau1),
+            position: -mobility * (delay * delay * psi2 + tau1 * (delay * psi1 + tau)),
+            torque_nm: 0.0,
+        }
+    }
+
+    /// The state from which the new torque moves a knob in `state`.
+    pub(crate) fn kick(&mut self, state: State, torque_nm: f64) -> State {
+        let deviation = self.torque_nm - torque_nm;
+        self.torque_nm = torque_nm;
+        if state.velocity == 0.0 {
+            return state;
+        }
+        State {
+            position: state.position + deviation * self.position,
+            velocity: state.velocity + deviation * self.velocity,
         }
     }
 }

@@ -71,6 +71,14 @@ impl Hand {
         alone && !self.shakes()
     }
 
+    /// The same hand, steady.
+    pub(crate) fn without_shake(&self) -> Self {
+        Self {
+            shake_nm: 0.0,
+            ..*self
+        }
+    }
+
     /// Whether its torque varies.
     pub(crate) fn shakes(&self) -> bool {
         self.shake_nm != 0.0 && self.shake_hz != 0.0

@@ -33,7 +33,7 @@
 use control::ConfigError;
 use control::criterion::Device;
 
-use crate::drive::{Actuator, Drive, Halves};
+use crate::drive::{Actuator, Drive, Halves, Impulse};
 use crate::hand::Hand;
 use crate::hold::{Hold, State};
 use crate::motor::Motor;
@@ -146,6 +146,8 @@ pub struct Knob {
     hold: Hold,
     /// Nothing but the knob, and a torque that changes at ticks only.
     plain: bool,
+    /// What stands for delay and lag, where they are not followed.
+    impulse: Option<Impulse>,
     drive: Drive,
     motor: Motor,
     /// The knob's own m, b.
@@ -185,11 +187,7 @@ impl Knob {
         motor.check()?;
         hand.check()?;
         drive.check(period_s)?;
-        let joined = Device {
-            inertia_kg_m2: device.inertia_kg_m2 + hand.inertia_kg_m2,
-            viscous_nm_s_rad: device.viscous_nm_s_rad + hand.damping_nm_s_rad,
-            coulomb_nm: device.coulomb_nm,
-        };
+        let joined = joined(device, hand);
         let hold = Hold::new(&joined, period_s)?;
         for (name, value) in [
             ("start angle (rad)", start.position),
@@ -227,6 +225,7 @@ impl Knob {
             state: start,
             hold,
             plain: hand.is_absent() && drive.is_prompt() && motor.is_even(),
+            impulse: None,
             drive: *drive,
             motor: *motor,
             inertia: device.inertia_kg_m2,
@@ -242,6 +241,14 @@ impl Knob {
                 .max(joined.viscous_nm_s_rad / joined.inertia_kg_m2)
                 .min(FASTEST_HAND / period_s),
         })
+    }
+
+    /// The same knob with an impulse at each change of the torque, which stands for the delay and the
+    /// lag of `drive` ([`Impulse`]). See [`crate::fidelity`].
+    pub(crate) fn with_impulses(mut self, drive: &Drive) -> Self {
+        self.impulse = Some(Impulse::new(drive, &self.joined));
+        self.plain = false;
+        self
     }
 
     /// Angle (rad) and velocity (rad/s) now.
@@ -263,6 +270,12 @@ impl Knob {
         if !self.plain || duration_s != self.hold.duration() {
             return self.hold_any(command_nm, duration_s);
         }
+        self.hold_plain(command_nm)
+    }
+
+    /// [`Knob::hold`] for a period, where there is nothing but the knob.
+    #[inline]
+    fn hold_plain(&mut self, command_nm: f64) -> Interval {
         let start = self.state;
         let torque = self.drive.rounded(command_nm);
         let step = self.hold.step(start, torque);
@@ -283,10 +296,21 @@ impl Knob {
     #[inline(never)]
     fn hold_any(&mut self, command_nm: f64, duration_s: f64) -> Interval {
         let start = self.state;
+        let mut kick_j = 0.0;
+        if let Some(impulse) = &mut self.impulse {
+            self.state = impulse.kick(self.state, self.drive.rounded(command_nm));
+            kick_j = gained(self.inertia, start, self.state);
+            let even = !self.has_hand && self.motor.is_even();
+            if even && duration_s == self.hold.duration() {
+                let mut interval = self.hold_plain(command_nm);
+                interval.motor_work_j += kick_j;
+                return interval;
+            }
+        }
         let mut interval = Interval {
             end: start,
             furthest_rad: start.position.abs(),
-            motor_work_j: 0.0,
+            motor_work_j: kick_j,
             friction_j: 0.0,
             hand_work_j: 0.0,
         };
@@ -575,6 +599,15 @@ impl Knob {
         interval.friction_j += coulomb + share * viscous;
         interval.furthest_rad = interval.furthest_rad.max(moved.furthest);
         self.state = end;
+    }
+}
+
+/// Knob and hand as one mass with friction.
+pub(crate) fn joined(device: &Device<f64>, hand: &Hand) -> Device<f64> {
+    Device {
+        inertia_kg_m2: device.inertia_kg_m2 + hand.inertia_kg_m2,
+        viscous_nm_s_rad: device.viscous_nm_s_rad + hand.damping_nm_s_rad,
+        coulomb_nm: device.coulomb_nm,
     }
 }
 

@@ -14,6 +14,7 @@
 //! - [`knob`]: the plant with what a real one adds, each opt-in: a [`hand`] that holds it,
 //!   a [`drive`] that delays, lags and rounds the torque, a [`motor`] that cogs and sticks, a [`clock`]
 //!   that is not even;
+//! - [`fidelity`]: a scene without what cannot change its answer, with a bound on the error;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
 //! - [`preset`]: devices known by name;
 //! - [`trial`], [`campaign`], [`search`]: what counts as a bad run of a law, random runs, and runs that
@@ -32,6 +33,7 @@ pub mod closed_loop;
 pub mod display;
 pub mod drive;
 pub mod energy;
+pub mod fidelity;
 pub mod hand;
 pub mod hold;
 pub mod kernel;

@@ -7,9 +7,10 @@ use anyhow::{Context, Result};
 use control::config::Law;
 use control::criterion::Dimensionless;
 use control::tick::Tick;
-use plant_sim::closed_loop::Report;
+use plant_sim::closed_loop::{Report, Sample};
 use plant_sim::display::Display;
 use plant_sim::energy::reachable_speed;
+use plant_sim::fidelity::{self, Answer, Phenomena, Phenomenon};
 use plant_sim::hold::State;
 use plant_sim::outcome::{Class, DIVERGED_COUNTS};
 use serde::Serialize;
@@ -27,7 +28,7 @@ use crate::stop::{self, Usage};
 #[derive(clap::Args)]
 #[command(
     allow_negative_numbers = true,
-    after_help = "Examples:\n  knob simulate scenes/fig6c.toml --plot run.svg\n  knob simulate scenes/ledger-push.toml --trace run.csv\n  knob simulate --mu 50 --beta 0.3 --sigma 0.7 --v0 10 --samples 50000 --json"
+    after_help = "Examples:\n  knob simulate scenes/fig6c.toml --plot run.svg\n  knob simulate scenes/ledger-push.toml --trace run.csv\n  knob simulate scenes/fast-amplifier.toml --fidelity auto --tolerance 1e-6\n  knob simulate --mu 50 --beta 0.3 --sigma 0.7 --v0 10 --samples 50000 --json"
 )]
 pub struct Args {
     /// The scene file (TOML)
@@ -53,6 +54,13 @@ pub struct Args {
     #[arg(long, value_parser = number::count, requires = "mu")]
     samples: Option<u64>,
 
+    /// What of the scene's plant to keep: all of it, or no more than the answer needs
+    #[arg(long, value_enum, default_value_t = Fidelity::Full, requires = "scene")]
+    fidelity: Fidelity,
+    /// With --fidelity auto: how far the angle may be from the full scene's at any sample, rad [default: 1e-6]
+    #[arg(long, value_name = "RAD", value_parser = number::positive, requires = "scene")]
+    tolerance: Option<f64>,
+
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -66,6 +74,18 @@ pub struct Args {
     #[arg(long)]
     force: bool,
 }
+
+#[derive(clap::ValueEnum, Clone, Copy, PartialEq)]
+enum Fidelity {
+    /// Everything that the scene has
+    Full,
+    /// Without delay, lag, torque steps, cogging, stiction or hand where they provably cannot change
+    /// the angle by more than the tolerance
+    Auto,
+}
+
+/// The tolerance where none is given, rad: a thousandth of a count of 8192 per turn.
+const TOLERANCE_RAD: f64 = 1e-6;
 
 /// A finite number of at most 1e9 counts, beyond which a run has diverged.
 fn in_reach(text: &str) -> Result<f64, String> {
@@ -216,9 +236,23 @@ struct SceneJson {
     /// What the ledger's account held; 0 under other laws.
     min_account_j: f64,
     max_account_j: f64,
+    /// full or auto.
+    fidelity: &'static str,
+    /// What of the scene's plant was left out, and what was kept.
+    dropped: Vec<&'static str>,
+    kept: Vec<&'static str>,
+    /// Every angle is within this of the full scene's; 0 where nothing was left out.
+    error_bound_rad: f64,
 }
 
 fn run_scene(args: &Args, path: &Path) -> Result<()> {
+    if args.tolerance.is_some() && args.fidelity == Fidelity::Full {
+        return Err(Usage(
+            "--tolerance is given, but --fidelity full drops nothing; accepted: with --fidelity auto"
+                .into(),
+        )
+        .into());
+    }
     let loaded = scene::load(path)?;
     let mut trace = prepare("--trace", args.trace.as_deref(), args.force)?;
     let mut plot = prepare("--plot", args.plot.as_deref(), args.force)?;
@@ -245,7 +279,8 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
     let mut curves = Curves::new();
     let mut trouble = None;
     let mut last = None;
-    let report = loaded.run(|sample| {
+    let simpler = simpler(args, &loaded).with_context(|| path.display().to_string())?;
+    let mut observe = |sample: &Sample| {
         let time_s = loaded.time_s(sample);
         let State { position, velocity } = sample.state;
         let tick = &sample.tick;
@@ -268,8 +303,13 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
             trouble = row.err();
         }
         trouble.is_none() && !(sample.number % 4096 == 0 && stop::requested())
-    });
-    let report = report.with_context(|| path.display().to_string())?;
+    };
+    let report = match &simpler {
+        Some(answer) => answer.simplified.run_under(loaded.control(), observe),
+        None => loaded
+            .run(&mut observe)
+            .with_context(|| path.display().to_string())?,
+    };
     if let Some(trouble) = trouble {
         return Err(trouble);
     }
@@ -284,9 +324,13 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
     }
     output::publish([trace, plot].into_iter().flatten().collect())?;
     if args.json {
-        return output::say(&(serde_json::to_string(&json(&loaded, &report, &last)?)? + "\n"));
+        let json = json(&loaded, &report, &last, simpler.as_ref())?;
+        return output::say(&(serde_json::to_string(&json)? + "\n"));
     }
     let mut text = describe(&loaded, &report, &last, end_s)?;
+    if let Some(answer) = &simpler {
+        text += &left_out(answer);
+    }
     for path in [&args.trace, &args.plot].into_iter().flatten() {
         writeln!(text, "wrote        {}", path.display())?;
     }
@@ -298,11 +342,56 @@ fn prepare(flag: &str, path: Option<&Path>, force: bool) -> Result<Option<Output
         .transpose()
 }
 
-fn json(loaded: &Loaded, report: &Report, last: &Tick) -> Result<SceneJson> {
+/// The scene without what it can do without, if that was asked for. Where the user stops it, the run that
+/// follows ends at once.
+fn simpler(args: &Args, loaded: &Loaded) -> Result<Option<Answer>> {
+    if args.fidelity == Fidelity::Full {
+        return Ok(None);
+    }
+    let tolerance_rad = args.tolerance.unwrap_or(TOLERANCE_RAD);
+    let go_on = |number| !(number % 4096 == 0 && stop::requested());
+    let control = || loaded.control();
+    Ok(Some(fidelity::simplest(
+        &loaded.scene,
+        tolerance_rad,
+        control,
+        go_on,
+    )?))
+}
+
+/// What was left out, what was kept and what that may have changed.
+fn left_out(answer: &Answer) -> String {
+    let names = |phenomena: Phenomena| {
+        let names: Vec<_> = phenomena.iter().map(Phenomenon::as_str).collect();
+        match names.is_empty() {
+            true => "nothing".to_owned(),
+            false => names.join(", "),
+        }
+    };
+    format!(
+        "left out     {}; kept {}; every angle within {:.3e} rad of the full scene's\n",
+        names(answer.simplified.dropped()),
+        names(answer.kept),
+        answer.bound_rad
+    )
+}
+
+fn json(
+    loaded: &Loaded,
+    report: &Report,
+    last: &Tick,
+    simpler: Option<&Answer>,
+) -> Result<SceneJson> {
     let scene = &loaded.scene;
+    let names = |phenomena: Phenomena| phenomena.iter().map(Phenomenon::as_str).collect();
+    let dropped = simpler.map_or(Phenomena::default(), |answer| answer.simplified.dropped());
     let demand = scene.config.stiffness_nm_rad;
     let speed = scene.reachable_speed_rad_s(demand);
     Ok(SceneJson {
+        fidelity: if simpler.is_some() { "auto" } else { "full" },
+        dropped: names(dropped),
+        kept: names(Phenomena::of(scene).without(dropped)),
+        error_bound_rad: simpler.map_or(0.0, |answer| answer.bound_rad),
         criterion_holds_at_start: loaded.criterion()?.power_margin_nm(demand, speed) >= 0.0,
         class: report.class.to_string(),
         samples: report.samples,
