@@ -3,15 +3,15 @@
 //! A request is one line, `run SETTING MU V0 SAMPLES BETA,SIGMA ...`, an answer one line, `done
 //! SECONDS SAMPLES CLASSES` or `error TEXT`. The settings are `scalar`, [`Display::run`] one display after
 //! the other, and `vector`, [`kernel::classify`] with the best instruction set. Both run the displays
-//! over and over until 50 ms have passed: the seconds are those of all repetitions, and so are
-//! the samples. Samples are those really simulated: none after a display has come to rest or
+//! over and over until 50 ms of processor time have passed: the seconds are those of all
+//! repetitions, and so are the samples. Samples are those really simulated: none after a display has come to rest or
 //! diverged. The vector kernel, which looks at that every 64 samples only, is credited with no
 //! more than the scalar map.
 #![forbid(unsafe_code)]
 
 use std::hint::black_box;
 use std::io::{BufRead, Write, stdin, stdout};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use control::criterion::Dimensionless;
 use plant_sim::display::Display;
@@ -19,7 +19,7 @@ use plant_sim::hold::State;
 use plant_sim::kernel::{self, InstructionSet};
 use plant_sim::outcome::{Class, Classes};
 
-/// A batch is repeated until this has passed.
+/// A batch is repeated until it has taken this much processor time.
 const LEAST: Duration = Duration::from_millis(50);
 
 fn main() -> std::io::Result<()> {
@@ -79,13 +79,13 @@ fn answer(line: &str, set: InstructionSet) -> Option<String> {
         "vector" => kernel::classify(set, black_box(&displays), samples, |_| true),
         _ => None,
     };
-    let (mut seconds, mut repetitions) = (Duration::ZERO, 0);
+    let (mut time, mut repetitions) = (Duration::ZERO, 0);
     let classes = loop {
-        let start = Instant::now();
+        let start = processor_time()?;
         let classes = engine()?;
-        seconds += start.elapsed();
+        time += processor_time()? - start;
         repetitions += 1;
-        if seconds >= LEAST {
+        if time >= LEAST {
             break classes;
         }
     };
@@ -100,7 +100,20 @@ fn answer(line: &str, set: InstructionSet) -> Option<String> {
         .collect();
     Some(format!(
         "done {:.9} {} {letters}",
-        seconds.as_secs_f64(),
+        time.as_secs_f64(),
         simulated * repetitions
     ))
+}
+
+/// Time that this process has had on a processor: what else runs there does not count.
+#[cfg(unix)]
+fn processor_time() -> Option<Duration> {
+    rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime)
+        .try_into()
+        .ok()
+}
+
+#[cfg(not(unix))]
+fn processor_time() -> Option<Duration> {
+    None
 }

@@ -272,7 +272,7 @@ per sample, over {SAMPLES} samples: the centres of {GRID} × {GRID} cells of β 
 
 **On what.** {machine}; {on}. Ours: {ours}. Theirs: {theirs}; the C library is the one in MuJoCo's wheel, called by `xtask/peers/peer.c`.
 
-**How.** {ROUNDS} rounds, in each every engine once, one after the other; wall time over samples really simulated, none after rest or divergence; set-up is not
+**How.** {ROUNDS} rounds, in each every engine once, one after the other; processor time over samples really simulated, none after rest or divergence; set-up is not
 timed. Median and quartiles over the rounds; a ratio is the median of the rounds' ratios. The foreign engines run each cell once, a share of the cells a
 round; ours run all cells in every round, the vector kernel all side by side, on one core like the rest.
 

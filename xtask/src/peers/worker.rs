@@ -21,7 +21,7 @@ pub enum Class {
 /// An answer.
 #[derive(Debug, PartialEq)]
 pub struct Done {
-    /// Time that the simulation took, s.
+    /// Processor time that the simulation took, s.
     pub seconds: f64,
     /// Samples really simulated.
     pub samples: u64,
