@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod firmware;
+mod peers;
 mod tools;
 
 use std::process::ExitCode;
@@ -36,6 +37,8 @@ enum Task {
     Campaign,
     /// Take each part out of the energy ledger in turn, and write docs/ablation.md
     Ablation,
+    /// Measure MuJoCo and SciPy beside the exact map, in about six minutes, and write docs/peers.md and docs/peers.csv
+    Peers,
     /// Run every test, those of the firmware in the emulator too
     Test,
     /// Measure flash, RAM, stack and the tick's instructions, and write firmware/size.txt
@@ -59,6 +62,7 @@ fn main() -> ExitCode {
             "docs/ablation",
             "--force",
         ]),
+        Task::Peers => peers::peers(),
         Task::Test => test(),
         Task::Size => size(),
         Task::Check => check(),
