@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 fn knob() -> Command {
@@ -526,6 +526,10 @@ fn every_number_of_a_scene_is_checked_by_its_key() {
     };
     // Key, a value that is accepted, whether it may be negative.
     for (table, key, good, signed) in [
+        ("device", "cogging_nm", "1e-4\ncogging_per_rev = 14", false),
+        ("device", "cogging_per_rev", "14", false),
+        ("device", "stiction_nm", "1e-4\nstribeck_rad_s = 0.5", false),
+        ("device", "stribeck_rad_s", "0.5", false),
         ("loop", "delay_s", "1e-4", false),
         ("loop", "amplifier_tau_s", "1e-4", false),
         ("loop", "torque_step_nm", "1e-4", false),
@@ -809,6 +813,7 @@ fn every_scene_of_the_repository_does_what_it_says() {
         ("delay-accounted", "rest", "raw"),
         ("dac-rounding", "limit-cycle", "raw"),
         ("wall-off-edge", "rest", "raw"),
+        ("fast-amplifier", "rest", "ledger"),
     ] {
         let file = repository().join(format!("scenes/{name}.toml"));
         let out = json(&["simulate", file.to_str().unwrap(), "--json"]);
@@ -828,7 +833,7 @@ fn every_scene_of_the_repository_does_what_it_says() {
         assert!(words.contains(reason) && words.contains(law_end), "{words}");
         assert_eq!(
             words.contains("account      "),
-            ["ledger-wall", "ledger-push", "detent"].contains(&name)
+            ["ledger-wall", "ledger-push", "detent", "fast-amplifier"].contains(&name)
         );
     }
 }
@@ -1707,4 +1712,186 @@ fn charts_of_maps_and_plans_name_what_they_show() {
         "{shown:?}"
     );
     assert!(!shown.iter().any(|text| text == "twice K"), "{shown:?}");
+}
+
+/// What cannot change the angle by more than the tolerance is left out and named, with a bound that holds;
+/// a run of which nothing can be left out is the full one.
+#[test]
+fn no_more_is_simulated_than_a_scene_needs() {
+    let scene = repository().join("scenes/fast-amplifier.toml");
+    let scene = scene.to_str().unwrap();
+    let number = |out: &Value, key: &str| out[key].as_f64().unwrap();
+    let all = [
+        "stiction",
+        "cogging",
+        "amplifier-lag",
+        "delay",
+        "torque-step",
+    ];
+    let full = json(&["simulate", scene, "--json"]);
+    assert_eq!(full["fidelity"], "full");
+    assert_eq!((&full["dropped"], &full["kept"]), (&json!([]), &json!(all)));
+    assert_eq!(number(&full, "error_bound_rad"), 0.0);
+
+    for tolerance in ["1e-6", "1e-4"] {
+        let auto = [
+            "simulate",
+            scene,
+            "--fidelity",
+            "auto",
+            "--tolerance",
+            tolerance,
+            "--json",
+        ];
+        let auto = json(&auto);
+        assert_eq!(auto["fidelity"], "auto");
+        assert_eq!((&auto["dropped"], &auto["kept"]), (&json!(all), &json!([])));
+        let bound = number(&auto, "error_bound_rad");
+        assert!(
+            0.0 < bound && bound <= tolerance.parse().unwrap(),
+            "{bound}"
+        );
+        let error = (number(&auto, "angle_rad") - number(&full, "angle_rad")).abs();
+        assert!(0.0 < error && error <= bound, "{error} {bound}");
+    }
+    // Without a tolerance a millionth of a radian.
+    let auto = json(&["simulate", scene, "--fidelity", "auto", "--json"]);
+    assert_eq!(auto["dropped"], json!(all));
+
+    // Nothing can be left out within a billionth: the same run to the last bit.
+    let strict = [
+        "simulate",
+        scene,
+        "--fidelity",
+        "auto",
+        "--tolerance",
+        "1e-9",
+        "--json",
+    ];
+    let mut strict = json(&strict);
+    assert_eq!(
+        (&strict["dropped"], &strict["kept"]),
+        (&json!([]), &json!(all))
+    );
+    strict["fidelity"] = json!("full");
+    assert_eq!(strict, full);
+
+    let text = run(&["simulate", scene, "--fidelity", "auto"]);
+    let text = String::from_utf8(text.stdout).unwrap();
+    let line = "left out     stiction, cogging, amplifier-lag, delay, torque-step; kept nothing; every angle within";
+    assert!(text.contains(line), "{text}");
+}
+
+/// The trace and the picture are those of the run that is told.
+#[test]
+fn a_trace_of_a_simpler_run_ends_where_it_does() {
+    let folder = TempDir::new().unwrap();
+    let trace = folder.path().join("run.csv");
+    let scene = repository().join("scenes/fast-amplifier.toml");
+    let [scene, path] = [&scene, &trace].map(|path| path.to_str().unwrap());
+    let out = json(&[
+        "simulate",
+        scene,
+        "--fidelity",
+        "auto",
+        "--trace",
+        path,
+        "--json",
+    ]);
+    let rows = fs::read_to_string(&trace).unwrap();
+    assert_eq!(
+        rows.lines().count() as u64,
+        1 + out["samples"].as_u64().unwrap()
+    );
+    let last = rows.lines().last().unwrap().split(',').nth(1).unwrap();
+    // At rest for a hundred samples.
+    assert_eq!(
+        last.parse::<f64>().unwrap(),
+        out["angle_rad"].as_f64().unwrap()
+    );
+}
+
+#[test]
+fn fidelity_without_sense_is_refused() {
+    let scene = repository().join("scenes/fast-amplifier.toml");
+    let scene = scene.to_str().unwrap();
+    refused(
+        &["simulate", scene, "--tolerance", "1e-6"],
+        2,
+        &[
+            "--tolerance is given, but --fidelity full drops nothing",
+            "accepted: with --fidelity auto",
+        ],
+    );
+    for wrong in ["0", "-1", "nan", "inf", "small"] {
+        let tolerance = [
+            "simulate",
+            scene,
+            "--fidelity",
+            "auto",
+            "--tolerance",
+            wrong,
+        ];
+        refused(&tolerance, 2, &["--tolerance", wrong]);
+    }
+    refused(
+        &["simulate", scene, "--fidelity", "half"],
+        2,
+        &["half", "full", "auto"],
+    );
+    let display = [
+        "--mu",
+        "50",
+        "--beta",
+        "0.3",
+        "--sigma",
+        "0.6",
+        "--v0",
+        "10",
+        "--samples",
+        "100",
+    ];
+    refused(
+        &[&["simulate"][..], &display, &["--fidelity", "auto"]].concat(),
+        2,
+        &["SCENE"],
+    );
+}
+
+/// Cogging and stiction need the key that says where they are felt.
+#[test]
+fn cogging_and_stiction_come_in_pairs() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("scene.toml");
+    let path = file.to_str().unwrap();
+    for (line, parts) in [
+        (
+            "cogging_nm = 1e-4",
+            [
+                "device.cogging_nm is 0.0001",
+                "device.cogging_per_rev is missing",
+            ],
+        ),
+        (
+            "stiction_nm = 1e-4",
+            [
+                "device.stiction_nm is 0.0001",
+                "device.stribeck_rad_s is missing",
+            ],
+        ),
+        (
+            "cogging_per_rev = 20000",
+            [
+                "device.cogging_per_rev is 20000",
+                "up to 10000 periods in a turn",
+            ],
+        ),
+    ] {
+        fs::write(
+            &file,
+            SCENE.replacen("[device]\n", &format!("[device]\n{line}\n"), 1),
+        )
+        .unwrap();
+        refused(&["simulate", path], 1, &parts);
+    }
 }

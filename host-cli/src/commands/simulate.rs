@@ -55,7 +55,7 @@ pub struct Args {
     samples: Option<u64>,
 
     /// What of the scene's plant to keep: all of it, or no more than the answer needs
-    #[arg(long, value_enum, default_value_t = Fidelity::Full, requires = "scene")]
+    #[arg(long, value_enum, default_value_t = Fidelity::Full)]
     fidelity: Fidelity,
     /// With --fidelity auto: how far the angle may be from the full scene's at any sample, rad [default: 1e-6]
     #[arg(long, value_name = "RAD", value_parser = number::positive, requires = "scene")]
@@ -119,6 +119,13 @@ pub fn run(args: &Args) -> Result<()> {
                     ))
                     .into());
                 }
+            }
+            if args.fidelity == Fidelity::Auto {
+                return Err(Usage(
+                    "--fidelity auto: the dimensionless display has nothing to leave out; accepted: with a SCENE file"
+                        .into(),
+                )
+                .into());
             }
             let start = State {
                 position: args.xi0.unwrap_or(0.0),
