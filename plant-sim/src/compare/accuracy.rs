@@ -124,7 +124,7 @@ impl Plane {
     /// Samples of each run.
     pub const SAMPLES: u64 = WINDOW_RULE_SAMPLES;
 
-    /// Cells along a side.
+    /// With `grid` cells along a side.
     ///
     /// # Errors
     /// Refuses a grid without cells, or with too many.

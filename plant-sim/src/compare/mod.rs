@@ -48,8 +48,8 @@ impl Spread {
     /// ```
     #[must_use]
     pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
-        let finite = |value: f64| if value.is_nan() { f64::INFINITY } else { value };
-        let mut sorted: Vec<f64> = values.into_iter().map(finite).collect();
+        let known = |value: f64| if value.is_nan() { f64::INFINITY } else { value };
+        let mut sorted: Vec<f64> = values.into_iter().map(known).collect();
         sorted.sort_by(f64::total_cmp);
         let last = sorted.len().checked_sub(1)?;
         let at = |quarters: usize| {
