@@ -63,6 +63,11 @@ impl Display {
         })
     }
 
+    /// The display that repeats an interval of [`Hold::dimensionless`].
+    pub(crate) fn of(hold: Hold) -> Self {
+        Self { hold }
+    }
+
     /// The interval that this display repeats.
     #[must_use]
     pub fn hold(&self) -> &Hold {

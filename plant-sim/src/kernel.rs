@@ -234,6 +234,35 @@ pub fn classify(
     }
 }
 
+/// The states of displays of one inertia `samples` intervals later, whatever becomes of them.
+///
+/// # Assumes
+/// As [`classify`].
+#[must_use]
+pub fn follow(set: InstructionSet, displays: &[(Display, State)], samples: u64) -> Vec<State> {
+    let Some((first, _)) = displays.first() else {
+        return Vec::new();
+    };
+    let mut lanes = Lanes::default();
+    for (display, start) in displays {
+        lanes.push(display.hold(), *start);
+    }
+    lanes.pad();
+    set.run(Advance {
+        lanes: &mut lanes,
+        inertia: first.hold().inertia(),
+        samples,
+    });
+    let states = lanes.position.iter().zip(&lanes.velocity);
+    states
+        .take(displays.len())
+        .map(|(position, velocity)| State {
+            position: *position,
+            velocity: *velocity,
+        })
+        .collect()
+}
+
 /// Advances all lanes by a number of samples.
 struct Advance<'a> {
     lanes: &'a mut Lanes,

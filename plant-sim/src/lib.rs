@@ -10,6 +10,7 @@
 //! - [`outcome`]: rest, limit cycle or divergence, by two rules;
 //! - [`kernel`] and [`map`]: many displays at once, the plane of Fig. 5;
 //! - [`methods`]: integrators to compare with, behind one trait; [`precise`]: the truth, in 77 digits;
+//!   [`compare`]: how fast and how accurate each is;
 //! - [`closed_loop`]: a knob in physical units under the controller of [`control`];
 //! - [`knob`]: the plant with what a real one adds, each opt-in: a [`hand`] that holds it,
 //!   a [`drive`] that delays, lags and rounds the torque, a [`motor`] that cogs and sticks, a [`clock`]
@@ -30,6 +31,7 @@ pub mod ablation;
 pub mod campaign;
 pub mod clock;
 pub mod closed_loop;
+pub mod compare;
 pub mod display;
 pub mod drive;
 pub mod energy;

@@ -124,7 +124,7 @@ impl Contender {
     }
 
     /// The law of the controller; of a rival, which configures no controller, raw.
-    fn law(self) -> Law {
+    pub(crate) fn law(self) -> Law {
         match self {
             Self::Static => Law::Static,
             Self::Episode => Law::Episode,
@@ -135,7 +135,7 @@ impl Contender {
     }
 
     /// Its control of a trial whose configuration is for [`Contender::law`].
-    fn control(self, trial: &Trial, sampled: &Sampled) -> Result<Control, SceneError> {
+    pub(crate) fn control(self, trial: &Trial, sampled: &Sampled) -> Result<Control, SceneError> {
         let demand = trial.scene.config.stiffness_nm_rad;
         Ok(match self {
             Self::EnergyBounding => rendered(EnergyBounding::new(sampled, demand)?, trial),
@@ -154,7 +154,8 @@ impl Contender {
     }
 }
 
-type Control = Box<dyn FnMut(u32, f32) -> Tick>;
+/// What a tick does: from a counter and the ticks' distance (s) to a torque.
+pub(crate) type Control = Box<dyn FnMut(u32, f32) -> Tick>;
 
 fn rendered(rival: impl Rival + 'static, trial: &Trial) -> Control {
     let scene = &trial.scene;

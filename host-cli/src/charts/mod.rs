@@ -2,9 +2,12 @@
 
 pub mod demo;
 pub mod figures;
+pub mod laws;
+mod loglog;
 pub mod map;
 pub mod plan;
 pub mod plane;
 pub mod run;
+pub mod speed;
 pub mod stiffness;
 mod style;

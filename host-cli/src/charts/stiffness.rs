@@ -40,7 +40,7 @@ pub struct StiffnessChart<'a> {
 }
 
 /// Colour, width, dashed.
-fn look(law: Contender) -> (RGBColor, u32, bool) {
+pub fn look(law: Contender) -> (RGBColor, u32, bool) {
     match law {
         Contender::Static => (GREY, 2, false),
         Contender::EnergyBounding => (BLACK, 2, true),

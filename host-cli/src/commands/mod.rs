@@ -2,6 +2,7 @@
 
 pub mod ablation;
 pub mod campaign;
+pub mod chart;
 pub mod demo;
 pub mod emulate;
 pub mod figures;
