@@ -8,6 +8,7 @@ pub mod map;
 pub mod plan;
 pub mod plane;
 pub mod run;
+pub mod rungs;
 pub mod speed;
 pub mod stiffness;
 mod style;

@@ -1,6 +1,7 @@
 //! `knob chart`: speed against accuracy, measured afresh.
 
 pub mod report;
+pub mod rungs;
 
 use std::path::{Path, PathBuf};
 
@@ -35,14 +36,16 @@ use crate::stop::{self, Stopped};
 /// Then the laws: static stiffness over Abbott and Okamura's bound (as `knob stiffness` has it), against nanoseconds per tick
 /// on this machine and instructions per tick of the firmware, as counted in the emulator.
 ///
+/// Then the plant in physical units, phenomenon by phenomenon: what each costs and changes, and what --fidelity auto makes of it.
+///
 /// Times are taken in this run on one thread, all in turn, round by round; medians and quartiles. They
 /// are worth most while nothing else runs.
 ///
-/// Without --out a table, and what to conclude. With --out NAME also NAME.svg (methods), NAME-laws.svg (laws), NAME.csv (one
+/// Without --out a table, and what to conclude. With --out NAME also NAME.svg (methods), NAME-laws.svg (laws), NAME-fidelity.svg (the plant), NAME.csv (one
 /// line per figure) and NAME.json (what --json prints).
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  knob chart --quick\n  knob chart --out speed        writes speed.svg, speed-laws.svg, speed.csv, speed.json\n  knob chart --json > speed.json"
+    after_help = "Examples:\n  knob chart --quick\n  knob chart --out speed        writes speed.svg, speed-laws.svg, speed-fidelity.svg, speed.csv, speed.json\n  knob chart --json > speed.json"
 )]
 pub struct Args {
     /// In seconds instead of minutes: a 20 × 20 map instead of 40 × 40, fewer displays and rounds, n up to 30
@@ -51,7 +54,7 @@ pub struct Args {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-    /// Write NAME.svg, NAME-laws.svg, NAME.csv and NAME.json
+    /// Write NAME.svg, NAME-laws.svg, NAME-fidelity.svg, NAME.csv and NAME.json
     #[arg(long, value_name = "NAME")]
     out: Option<PathBuf>,
     /// Replace files that exist
@@ -270,17 +273,22 @@ pub struct Figures {
     pub small_rates: Vec<SmallRate>,
     pub devices: usize,
     pub laws: Vec<LawMeasured>,
+    pub ladders: Vec<rungs::Ladder>,
 }
 
 pub fn run(args: &Args) -> Result<()> {
     let files = match &args.out {
         Some(name) => {
             let file = |path: &Path| Output::prepare("--out", path, args.force);
-            let mut laws = name.as_os_str().to_owned();
-            laws.push("-laws.svg");
+            let beside = |ending| {
+                let mut path = name.as_os_str().to_owned();
+                path.push(ending);
+                file(Path::new(&path))
+            };
             Some([
                 file(&with_ending(name, "svg"))?,
-                file(Path::new(&laws))?,
+                beside("-laws.svg")?,
+                beside("-fidelity.svg")?,
                 file(&with_ending(name, "csv"))?,
                 file(&with_ending(name, "json"))?,
             ])
@@ -292,9 +300,10 @@ pub fn run(args: &Args) -> Result<()> {
     let mut text = report::text(&figures)?;
     match files {
         Some(mut files) => {
-            let [methods, laws, csv, json_file] = &mut files;
+            let [methods, laws, fidelity, csv, json_file] = &mut files;
             write!(methods, "{}", charts::speed::picture(&figures)?)?;
             write!(laws, "{}", charts::laws::picture(&figures)?)?;
+            write!(fidelity, "{}", charts::rungs::picture(&figures)?)?;
             write!(csv, "{}", report::csv(&figures)?)?;
             writeln!(json_file, "{json}")?;
             for file in &files {
@@ -302,7 +311,9 @@ pub fn run(args: &Args) -> Result<()> {
             }
             output::publish(files.into())?;
         }
-        None => text += "add --out NAME to write NAME.svg, NAME-laws.svg, NAME.csv and NAME.json\n",
+        None => {
+            text += "add --out NAME to write NAME.svg, NAME-laws.svg, NAME-fidelity.svg, NAME.csv and NAME.json\n"
+        }
     }
     stop::check()?;
     output::say(&if args.json { json + "\n" } else { text })
@@ -343,11 +354,15 @@ impl Extent {
             + PRECISE_WORK * cells(self.checked_grid)
             + DISPLAY_WORK * self.displays * (entries.len() + SMALL_RATES.len()) as u64
             + LAW_WORK * Contender::ALL.len() as u64
+            + RUNG_WORK * rungs::WAYS * rounds
     }
 }
 
 /// 100 samples in 77 digits.
 const DISPLAY_WORK: u64 = PRECISE_WORK / 80;
+
+/// A rung in a round.
+const RUNG_WORK: u64 = 300;
 
 /// A law on all devices.
 const LAW_WORK: u64 = 4_000;
@@ -404,6 +419,8 @@ fn measure_all(
     let times = times(&contestants, &timed, extent.rounds, stop::flag(), &told).ok_or(Stopped)?;
     let ticks = tick_times(&replays, TICK_ROUNDS, stop::flag()).map_err(stopped)?;
 
+    let ladders = rungs::measure(extent.rounds, bar, RUNG_WORK)?;
+
     let mut methods = Vec::new();
     for (number, (family, setting)) in families.into_iter().enumerate() {
         methods.push(Measured {
@@ -438,6 +455,7 @@ fn measure_all(
         small_rates,
         devices: devices.len(),
         laws: laws.collect(),
+        ladders,
     })
 }
 

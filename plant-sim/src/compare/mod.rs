@@ -6,12 +6,15 @@
 //! - [`Plane`]: the classes of the (β, σ) plane, μ = 50, from 10 counts per sample, against the
 //!   exact map's, and those, for a part of the cells, against 77 digits;
 //! - [`times`]: nanoseconds per simulated sample, on one thread, interleaved;
-//! - [`tick_times`]: nanoseconds per tick of a law on counters that it has met before.
+//! - [`tick_times`]: nanoseconds per tick of a law on counters that it has met before;
+//! - [`rungs`]: the plant in physical units with more and more of its phenomena, and with no more than
+//!   the answer needs ([`crate::fidelity`]).
 //!
 //! Accuracy uses every core, times use one: measure them one after the other.
 
 mod accuracy;
 mod laws;
+mod rungs;
 mod speed;
 
 use std::fmt;
@@ -23,6 +26,7 @@ use crate::methods::Method;
 
 pub use accuracy::{ADDED_OVER, AFTER, Plane, Trajectory, wrong};
 pub use laws::{Replay, tick_times};
+pub use rungs::{RUNGS, Rung, rungs, scenes};
 pub use speed::{CLASSES, Times, times};
 
 /// The median of some values and their quartiles.

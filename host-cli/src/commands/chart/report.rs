@@ -7,7 +7,7 @@ use plant_sim::compare::{ADDED_OVER, AFTER, CLASSES, Plane, Spread};
 use plant_sim::suite::Contender;
 use serde_json::{Map, Value, json};
 
-use super::{Family, Figures, LawMeasured, Measured, counted};
+use super::{Family, Figures, LawMeasured, Measured, counted, rungs};
 use crate::commands::stiffness::title;
 use crate::number::{digits, short};
 
@@ -309,6 +309,7 @@ pub fn text(figures: &Figures) -> Result<String> {
         laws_conclusion(figures),
         laws_notes()
     )?;
+    text += &rungs::text(&figures.ladders)?;
     Ok(text)
 }
 
@@ -388,6 +389,8 @@ pub fn json(figures: &Figures) -> Value {
         "laws": laws,
         "conclusions": conclusions(figures),
         "laws_conclusion": laws_conclusion(figures),
+        "fidelity": rungs::json(&figures.ladders),
+        "fidelity_conclusion": rungs::conclusion(&figures.ladders),
     })
 }
 
@@ -447,6 +450,7 @@ pub fn csv(figures: &Figures) -> Result<String> {
             writeln!(text, "laws,{key},,instructions,,{count},,,per tick")?;
         }
     }
+    text += &rungs::csv(&figures.ladders)?;
     Ok(text)
 }
 
@@ -501,6 +505,7 @@ mod tests {
             small_rates: vec![],
             devices: 11,
             laws: vec![],
+            ladders: vec![],
         }
     }
 
