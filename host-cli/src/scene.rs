@@ -1,7 +1,7 @@
 //! The scene file: a device, how it is sampled, what is rendered, who holds it, and how it
 //! starts.
 //!
-//! [`load`] reads the tables of [`mod@file`], refuses every value that makes no sense by its key,
+//! [`load`] reads the tables of `file`, refuses every value that makes no sense by its key,
 //! and gives a [`Loaded`] that runs.
 
 pub(crate) mod accepted;
