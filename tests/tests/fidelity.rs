@@ -149,3 +149,45 @@ fn the_promised_bound_always_holds() {
         assert!(out > 3000, "{phenomenon}: {out} of {all}");
     }
 }
+
+/// Near the top of a cogging hill what is left out grows as e^(ωt), ω² = A N/m, and the bound with it.
+#[test]
+fn cogging_that_is_kept_drives_knobs_apart() {
+    let (cogging_nm, cogging_per_rev) = (1e-3, 10.0);
+    let mut scene = Draw::new(5, Kind::Wall, 0)
+        .trial(Kind::Wall, Law::Raw)
+        .scene;
+    scene.device.inertia_kg_m2 = 6e-6;
+    scene.device.viscous_nm_s_rad = 0.0;
+    scene.device.coulomb_nm = 0.0;
+    scene.clock.period_s = 1e-3;
+    scene.config.timing.period_s = 1e-3;
+    // A wall far away and a count that is never left: no torque but the motor's own.
+    scene.config.hardware_count_rad = 1.0;
+    scene.config.shape = control::shape::Shape::Wall { edge_rad: 100.0 };
+    scene.config.stiffness_nm_rad = 1.0;
+    scene.motor = Motor {
+        cogging_nm,
+        cogging_per_rev,
+        ..Motor::default()
+    };
+    scene.hand = Hand {
+        shake_nm: 1e-9,
+        shake_hz: 1.0,
+        ..Hand::default()
+    };
+    scene.start.position = std::f64::consts::PI / cogging_per_rev;
+    scene.start.velocity = 2e-3;
+    scene.samples = 200;
+    let answer = answer(&scene, 1e-2);
+    let out: Vec<_> = answer.simplified.dropped().iter().collect();
+    assert_eq!(out, [Phenomenon::HandShake]);
+    let error = error_rad(&scene, &answer);
+    // Without the hill 1e-9 Nm moves 6e-6 kg m² by no more than 3.4e-6 rad in 0.2 s.
+    assert!(error > 1e-5, "{error:e}");
+    assert!(
+        error <= answer.bound_rad,
+        "{error:e}, promised {:e}",
+        answer.bound_rad
+    );
+}
