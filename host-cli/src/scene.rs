@@ -121,10 +121,7 @@ impl Loaded {
                 "jitter or missed ticks",
                 scene.clock.jitter_s != 0.0 || scene.clock.missed_ticks != 0.0,
             ),
-            (
-                "a limit of the torque",
-                config.torque_max_nm < unlimited(),
-            ),
+            ("a limit of the torque", config.torque_max_nm < unlimited()),
             (
                 "a controller that was told otherwise",
                 self.plan != Plan::new(config)?,

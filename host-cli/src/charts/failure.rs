@@ -107,6 +107,15 @@ impl Axis {
         }
     }
 
+    /// How many numbers an axis has at most: one a decade, if there are some.
+    fn labels(&self, span: f64, most: usize) -> usize {
+        if self.logarithmic && span >= 2.0 {
+            most.min(span.floor() as usize + 1)
+        } else {
+            most
+        }
+    }
+
     fn label(&self, place: f64, span: f64) -> String {
         if !self.logarithmic {
             tick(place, span)
@@ -165,10 +174,11 @@ impl Figure {
 
     fn range(&self, of: impl Fn((f64, f64)) -> f64, margin: f64) -> Range<f64> {
         let all = self.series.iter().flat_map(|series| self.placed(series));
-        let (low, high) = all.map(of).fold(
-            (f64::INFINITY, f64::NEG_INFINITY),
-            |(low, high), value| (low.min(value), high.max(value)),
-        );
+        let (low, high) = all
+            .map(of)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+                (low.min(value), high.max(value))
+            });
         let room = margin * (high - low).max(1e-12);
         low - room..high + room
     }
@@ -190,8 +200,8 @@ impl Figure {
             .bold_line_style(FAINT)
             .x_desc(self.x.name)
             .y_desc(self.y.name)
-            .x_labels(9)
-            .y_labels(8)
+            .x_labels(self.x.labels(wide, 9))
+            .y_labels(self.y.labels(high, 8))
             .label_style(letters(SMALL, BLACK))
             .axis_desc_style(letters(LABEL, BLACK))
             .x_label_formatter(&|place| self.x.label(*place, wide))
