@@ -5,7 +5,8 @@
 
 use control::criterion::{Dimensionless, Region};
 use control::encoder::{Encoder, EncoderConfig};
-use control::shape::Shape;
+use control::margin::effective_criterion;
+use control::shape::{Profile, Shape};
 use host_cli::failures::{self, adaptive, forms};
 use host_cli::scene::{self, Loaded};
 use plant_sim::closed_loop::Report;
@@ -481,6 +482,14 @@ fn mended(name: &str, line: &str, by: &str) -> Report {
     mended.run(|_| true).unwrap()
 }
 
+/// The stiffness that a control which believes what the scene says reckons with at 10 rad/s, Nm/rad.
+fn allowed_at_10(name: &str) -> f32 {
+    let config = scene::parse(text(name)).unwrap().scene.config;
+    let profile = Profile::new(&config.shape, config.count_rad()).unwrap();
+    let criterion = effective_criterion(&config, &profile, 0.0).unwrap();
+    criterion.largest_stiffness_at(10.0)
+}
+
 /// Under another law than `raw`.
 fn under(law: &str, name: &str) -> Report {
     mended(name, "law = \"raw\"", &format!("law = \"{law}\""))
@@ -509,6 +518,11 @@ fn a_model_without_the_delay_calls_a_growing_spring_safe() {
 /// `what_breaks::a_wall_off_a_count_edge_counts_with_its_first_step`, as a scene.
 #[test]
 fn a_wall_off_an_edge_gives_energy_out() {
+    // The criterion knows of the first step; with ½ K Δ it would hold.
+    let loaded = scene::parse(text("wall-off-edge")).unwrap();
+    let stiffness = loaded.scene.config.stiffness_nm_rad;
+    let margin = loaded.criterion().unwrap().power_margin_nm(stiffness, 0.0);
+    assert!(margin < 0.0, "margin {margin} Nm");
     let off = naive("wall-off-edge");
     let gain = off.energy_excess_j / off.energy_start_j;
     assert!(gain > 0.4, "{off:?}");
@@ -523,6 +537,10 @@ fn a_wall_off_an_edge_gives_energy_out() {
 /// `what_breaks::torques_are_cut_to_steps_not_rounded`, as a scene.
 #[test]
 fn torque_rounded_to_steps_cycles() {
+    // The criterion knows of half a step; without it it would hold.
+    let loaded = scene::parse(text("dac-rounding")).unwrap();
+    let margin = loaded.criterion().unwrap().power_margin_nm(4.0, 0.0);
+    assert!(margin < 0.0, "margin {margin} Nm");
     assert_eq!(naive("dac-rounding").class, Class::LimitCycle);
     passive(&mended(
         "dac-rounding",
@@ -586,6 +604,9 @@ fn friction_believed_twice_as_large_grows() {
         "stiffness_nm_rad = 0.776",
         "stiffness_nm_rad = 0.388",
     ));
+    // The low ends of what is believed.
+    let allowed = allowed_at_10("friction-believed");
+    assert!((0.388..0.389).contains(&allowed), "{allowed} Nm/rad");
     passive_under_laws("friction-believed");
 }
 
@@ -598,6 +619,8 @@ fn missed_ticks_grow_by_the_nominal_period() {
         "stiffness_nm_rad = 0.388",
         "stiffness_nm_rad = 0.201",
     ));
+    let allowed = allowed_at_10("missed-ticks");
+    assert!((0.201..0.202).contains(&allowed), "{allowed} Nm/rad");
     passive_under_laws("missed-ticks");
 }
 
