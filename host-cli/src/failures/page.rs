@@ -24,14 +24,14 @@ A method is named as `knob simulate --method` takes it: `euler:N` is semi-implic
 projected friction, `dopri5:TOL` Dormand and Prince's method with events, `closed-form` the exact solution as textbooks write it. *Rest* is a display
 that never moves again; a run that is merely slower than 0.01 counts per sample is called so. Classes are those of the window rule.
 
-One more failure is measured elsewhere: soft-constraint friction, as physics engines have it, lets cells diverge that rest. See
-`cargo xtask peers`.
+One more failure is measured elsewhere: soft-constraint friction, as physics engines have it, lets cells diverge that rest: see
+`docs/peers.md`.
 ";
 
 const FOUND: &str = "## Found by its test
 
-Each test was seen to fail once: the naive form below was put in the place of the mended one, and the test said this. All are in
-`tests/tests/where_methods_fail.rs`.
+Each test was seen to fail once: the naive form below was put in the place of the mended one, in the library, and the test said this. All
+are in `tests/tests/where_methods_fail.rs`.
 
 | failure | naive form put in | test | what it said |
 |---|---|---|---|

@@ -32,16 +32,22 @@ pub fn over_samples(states: &[State], quantity: impl Fn(&State) -> f64) -> Vec<(
 
 /// What became of a run, in words.
 pub fn outcome(display: &Display, run: &Run) -> String {
-    let samples = run.samples;
+    let samples = match run.samples {
+        1 => "1 sample".into(),
+        more => format!("{more} samples"),
+    };
     match run.classes.window {
-        Class::Rest if display.rests(run.end) => format!("rest after {samples} samples"),
+        Class::Rest if display.rests(run.end) => format!("rest after {samples}"),
         Class::Rest => format!(
-            "slower than 0.01 counts per sample, but never at rest ({} after {samples} samples)",
+            "slower than 0.01 counts per sample, but never at rest ({} after {samples})",
             short(run.end.velocity.abs())
         ),
+        Class::LimitCycle if run.classes.paper == Class::Rest => {
+            "limit cycle; rest by the paper's rule".into()
+        }
         Class::LimitCycle => "limit cycle".into(),
         Class::Unstable if run.end.position.is_nan() => "no number".into(),
-        Class::Unstable => format!("grows without bound (1e9 counts after {samples} samples)"),
+        Class::Unstable => format!("grows without bound (1e9 counts after {samples})"),
         Class::Undecided => "too short to tell".into(),
     }
 }
