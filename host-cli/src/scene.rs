@@ -109,10 +109,7 @@ impl Loaded {
             ("no stiffness", config.stiffness_nm_rad == 0.0),
             ("damping", config.damping_nm_s_rad != 0.0),
             ("a hand", self.has_hand()),
-            (
-                "cogging or stiction",
-                scene.motor != Motor::default(),
-            ),
+            ("cogging or stiction", scene.motor != Motor::default()),
             (
                 "delay, lag or steps of the torque",
                 scene.drive != Drive::default(),

@@ -92,6 +92,17 @@ fn methods_and_scenes_that_do_not_fit_are_refused() {
         ],
         &["--trace", "--method"],
     );
+    refused(
+        &[
+            "simulate",
+            &display,
+            "--method",
+            "exact",
+            "--fidelity",
+            "auto",
+        ],
+        &["--fidelity", "--method"],
+    );
     for (name, part) in [
         ("ledger-push", "another law than raw"),
         ("delay-unaccounted", "delay, lag or steps"),

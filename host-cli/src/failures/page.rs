@@ -24,8 +24,7 @@ A method is named as `knob simulate --method` takes it: `euler:N` is semi-implic
 projected friction, `dopri5:TOL` Dormand and Prince's method with events, `closed-form` the exact solution as textbooks write it. *Rest* is a display
 that never moves again; a run that is merely slower than 0.01 counts per sample is called so. Classes are those of the window rule.
 
-One more failure is measured elsewhere: soft-constraint friction, as physics engines have it, lets cells diverge that rest: see
-`docs/peers.md`.
+Physics engines, whose friction is a soft constraint, are measured on the whole plane of β and σ: [peers.md](peers.md).
 ";
 
 const FOUND: &str = "## Found by its test
