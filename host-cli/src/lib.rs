@@ -9,6 +9,7 @@ mod commands;
 mod device;
 mod device_list;
 mod emulators;
+pub mod failures;
 mod number;
 mod output;
 mod parameters;
@@ -41,6 +42,7 @@ enum Command {
     Stiffness(commands::stiffness::Args),
     Chart(commands::chart::Args),
     Figures(commands::figures::Args),
+    Failures(commands::failures::Args),
     Campaign(commands::campaign::Args),
     Ablation(commands::ablation::Args),
     Emulate(commands::emulate::Args),
@@ -76,6 +78,7 @@ pub fn run() -> ExitCode {
         Command::Stiffness(args) => commands::stiffness::run(&args),
         Command::Chart(args) => commands::chart::run(&args),
         Command::Figures(args) => commands::figures::run(&args),
+        Command::Failures(args) => commands::failures::run(&args),
         Command::Campaign(args) => commands::campaign::run(&args),
         Command::Ablation(args) => commands::ablation::run(&args),
         Command::Emulate(args) => commands::emulate::run(&args),

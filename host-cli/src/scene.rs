@@ -20,6 +20,7 @@ use control::shape::{Profile, Shape};
 use control::tick::{Controller, Tick};
 use plant_sim::clock::Clock;
 use plant_sim::closed_loop::{Report, Sample, Scene, SceneError};
+use plant_sim::display::Display;
 use plant_sim::drive::Drive;
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
@@ -88,6 +89,52 @@ impl Loaded {
             count_rad: config.count_rad() * steps,
         };
         Ok(Criterion::new(device, sampling)?)
+    }
+
+    /// The dimensionless display (6) that this scene is, and its start in counts and counts per
+    /// sample (7).
+    ///
+    /// # Errors
+    /// Refuses a scene that is more than a raw spring about zero on a bare knob, sampled evenly and
+    /// without delay, lag, steps or limit of the torque; says what is too much.
+    pub fn display(&self) -> Result<(Display, State)> {
+        let scene = &self.scene;
+        let config = &scene.config;
+        let more = [
+            ("another law than raw", config.law != Law::Raw),
+            (
+                "another shape than a spring about 0 rad",
+                config.shape != Shape::Spring { centre_rad: 0.0 },
+            ),
+            ("no stiffness", config.stiffness_nm_rad == 0.0),
+            ("damping", config.damping_nm_s_rad != 0.0),
+            ("a hand", self.has_hand()),
+            ("cogging or stiction", scene.motor != Motor::default()),
+            (
+                "delay, lag or steps of the torque",
+                scene.drive != Drive::default(),
+            ),
+            (
+                "jitter or missed ticks",
+                scene.clock.jitter_s != 0.0 || scene.clock.missed_ticks != 0.0,
+            ),
+            ("a limit of the torque", config.torque_max_nm < unlimited()),
+            (
+                "a controller that was told otherwise",
+                self.plan != Plan::new(config)?,
+            ),
+        ];
+        if let Some((what, _)) = more.into_iter().find(|(_, is)| *is) {
+            bail!("the scene has {what}; accepted: a raw spring about 0 rad on a bare knob");
+        }
+        let criterion = self.criterion()?;
+        let count_rad = config.count_rad();
+        let start = State {
+            position: scene.start.position / count_rad,
+            velocity: scene.start.velocity * config.timing.period_s / count_rad,
+        };
+        let display = Display::new(criterion.dimensionless(config.stiffness_nm_rad))?;
+        Ok((display, start))
     }
 
     /// Whether a hand is on the knob.

@@ -33,6 +33,8 @@ enum Task {
     },
     /// Compute the paper's figures and write them to target/figures/
     Figures,
+    /// Measure and draw where methods fail, and write docs/where-methods-fail.md
+    Failures,
     /// Run the random campaigns and the search for violations in full, and keep their state in target/campaign/
     Campaign,
     /// Take each part out of the energy ledger in turn, and write docs/ablation.md
@@ -53,6 +55,7 @@ fn main() -> ExitCode {
         Task::Firmware => firmware::build(),
         Task::Demo { hold, json } => demo(hold, json),
         Task::Figures => knob(&["figures", "--out", "target/figures", "--force"]),
+        Task::Failures => knob(&["failures", "--out", "docs/where-methods-fail", "--force"]),
         Task::Campaign => campaign(),
         Task::Ablation => knob(&[
             "ablation",

@@ -1,6 +1,7 @@
 //! Pictures, as SVG.
 
 pub mod demo;
+pub mod failure;
 pub mod figures;
 pub mod laws;
 mod loglog;

@@ -5,6 +5,7 @@ pub mod campaign;
 pub mod chart;
 pub mod demo;
 pub mod emulate;
+pub mod failures;
 pub mod figures;
 pub mod get;
 pub mod info;

@@ -12,6 +12,7 @@ use plant_sim::display::Display;
 use plant_sim::energy::reachable_speed;
 use plant_sim::fidelity::{self, Answer, Phenomena, Phenomenon};
 use plant_sim::hold::State;
+use plant_sim::methods;
 use plant_sim::outcome::{Class, DIVERGED_COUNTS};
 use serde::Serialize;
 
@@ -28,7 +29,7 @@ use crate::stop::{self, Usage};
 #[derive(clap::Args)]
 #[command(
     allow_negative_numbers = true,
-    after_help = "Examples:\n  knob simulate scenes/fig6c.toml --plot run.svg\n  knob simulate scenes/ledger-push.toml --trace run.csv\n  knob simulate scenes/fast-amplifier.toml --fidelity auto --tolerance 1e-6\n  knob simulate --mu 50 --beta 0.3 --sigma 0.7 --v0 10 --samples 50000 --json"
+    after_help = "Examples:\n  knob simulate scenes/fig6c.toml --plot run.svg\n  knob simulate scenes/ledger-push.toml --trace run.csv\n  knob simulate scenes/fast-amplifier.toml --fidelity auto --tolerance 1e-6\n  knob simulate --mu 50 --beta 0.3 --sigma 0.7 --v0 10 --samples 50000 --json\n  knob simulate scenes/fail/euler-hides.toml --method euler:1"
 )]
 pub struct Args {
     /// The scene file (TOML)
@@ -60,6 +61,10 @@ pub struct Args {
     /// With --fidelity auto: how far the angle may be from the full scene's at any sample, rad [default: 1e-6]
     #[arg(long, value_name = "RAD", value_parser = number::positive, requires = "scene")]
     tolerance: Option<f64>,
+    /// Move the display by another method than the exact map, to see where it fails; of a scene, only a raw
+    /// spring on a bare knob: euler:N, midpoint:N, rk4:N, rk4-tanh:N (N steps per sample), dopri5:TOL, closed-form, exact
+    #[arg(long, value_parser = method_name, conflicts_with_all = ["trace", "plot", "fidelity", "tolerance"])]
+    method: Option<String>,
 
     /// Print one JSON object
     #[arg(long)]
@@ -99,6 +104,13 @@ fn in_reach(text: &str) -> Result<f64, String> {
     }
 }
 
+fn method_name(text: &str) -> Result<String, String> {
+    match methods::named(text) {
+        Ok(_) => Ok(text.to_owned()),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
 pub fn run(args: &Args) -> Result<()> {
     match (
         &args.scene,
@@ -108,7 +120,16 @@ pub fn run(args: &Args) -> Result<()> {
         args.v0,
         args.samples,
     ) {
-        (Some(path), ..) => run_scene(args, path),
+        (Some(path), ..) => match &args.method {
+            Some(method) => {
+                let loaded = scene::load(path)?;
+                let (display, start) = loaded.display().map_err(|error| {
+                    Usage(format!("--method {method}: {}: {error}", path.display()))
+                })?;
+                run_by_method(args, method, &display, start, loaded.scene.samples)
+            }
+            None => run_scene(args, path),
+        },
         (None, Some(mu), Some(beta), Some(sigma), Some(v0), Some(samples)) => {
             // clap drops a `requires` where the flag it asks for conflicts with another.
             for (flag, file) in [("--trace", &args.trace), ("--plot", &args.plot)] {
@@ -131,7 +152,13 @@ pub fn run(args: &Args) -> Result<()> {
                 position: args.xi0.unwrap_or(0.0),
                 velocity: v0,
             };
-            run_display(args, Dimensionless { mu, beta, sigma }, start, samples)
+            let parameters = Dimensionless { mu, beta, sigma };
+            let display = Display::new(parameters)
+                .map_err(|error| Usage(format!("--mu, --beta, --sigma: {error}")))?;
+            match &args.method {
+                Some(method) => run_by_method(args, method, &display, start, samples),
+                None => run_display(args, &display, start, samples),
+            }
         }
         _ => Err(
             Usage("give a scene file, or all of --mu --beta --sigma --v0 --samples".into()).into(),
@@ -154,14 +181,50 @@ struct DisplayJson {
     energy_given_out: f64,
 }
 
-fn run_display(
+#[derive(Serialize)]
+struct MethodJson<'a> {
+    method: &'a str,
+    /// Null where the method gives no number.
+    xi: f64,
+    v: f64,
+    samples: u64,
+    class: String,
+    class_paper: String,
+}
+
+/// A display moved by another method than the exact map.
+fn run_by_method(
     args: &Args,
-    parameters: Dimensionless<f64>,
+    method: &str,
+    display: &Display,
     start: State,
     samples: u64,
 ) -> Result<()> {
-    let display = Display::new(parameters)
-        .map_err(|error| Usage(format!("--mu, --beta, --sigma: {error}")))?;
+    let run = methods::named(method)?
+        .run_observed(display, start, samples, &mut |_, _| !stop::requested());
+    stop::check()?;
+    let json = MethodJson {
+        method,
+        xi: run.end.position,
+        v: run.end.velocity,
+        samples: run.samples,
+        class: run.classes.window.to_string(),
+        class_paper: run.classes.paper.to_string(),
+    };
+    if args.json {
+        return output::say(&(serde_json::to_string(&json)? + "\n"));
+    }
+    let Dimensionless { mu, beta, sigma } = display.parameters();
+    output::say(&format!(
+        "display      μ {mu}  β {beta}  σ {sigma}, by {method}\n\
+         after        {} samples: ξ = {}, ξ̇ = {}\n\
+         class        {} (by the paper's rule: {})\n",
+        json.samples, json.xi, json.v, json.class, json.class_paper,
+    ))
+}
+
+fn run_display(args: &Args, display: &Display, start: State, samples: u64) -> Result<()> {
+    let parameters = display.parameters();
     let (run, ledger) = display.run_audited(start, samples, |sample| {
         sample % 4096 != 0 || !stop::requested()
     });

@@ -45,12 +45,24 @@ pub trait Method: fmt::Display + Send + Sync {
 
     /// [`Display::run`] by this method: the same rules for what became of it.
     fn run(&self, display: &Display, start: State, samples: u64) -> Run {
+        self.run_observed(display, start, samples, &mut |_, _| true)
+    }
+
+    /// The same; `observe` sees every sample, the start as sample 0, and may end the run by
+    /// returning false.
+    fn run_observed(
+        &self,
+        display: &Display,
+        start: State,
+        samples: u64,
+        observe: &mut dyn FnMut(u64, State) -> bool,
+    ) -> Run {
         let hold = display.hold();
         display.run_by(
             |state, force| self.sample(hold, state, force),
             start,
             samples,
-            |_, _| true,
+            observe,
         )
     }
 }
