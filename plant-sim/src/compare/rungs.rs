@@ -107,7 +107,7 @@ pub fn scenes(strength: f64) -> Vec<Scene> {
 
 /// How one way runs a scene.
 enum Way {
-    Without(Simplified),
+    Without(Box<Simplified>),
     Auto(f64),
 }
 
@@ -159,9 +159,12 @@ pub fn rungs(
         }
         let without = |scene: &Scene| Phenomena::of(scene).without(kept);
         let error_rad = apart(&full, &angles(scenes, &plans, without)?);
-        let simplified = scenes
-            .iter()
-            .map(|scene| Ok(Way::Without(Simplified::new(scene, without(scene))?)));
+        let simplified = scenes.iter().map(|scene| {
+            Ok(Way::Without(Box::new(Simplified::new(
+                scene,
+                without(scene),
+            )?)))
+        });
         ways.push(simplified.collect::<Result<_, SceneError>>()?);
         measured.push((adds, None, error_rad, 0.0, [0, 0]));
     }
