@@ -3,11 +3,10 @@
 use anyhow::Result;
 use plant_sim::compare::Spread;
 use plant_sim::suite::Contender;
-use plotters::prelude::*;
 
-use super::loglog::{Curve, Look, Mark, Panel, draw, wrapped};
+use super::loglog::{Curve, Look, Mark, Panel, draw, sentences, sentences_height, wrapped};
 use super::stiffness::look as stiffness_look;
-use super::style::{GREY, LABEL, SMALL, letters, page, trouble};
+use super::style::page;
 use crate::commands::chart::report::{laws_conclusion, laws_notes};
 use crate::commands::chart::{Figures, LawMeasured};
 
@@ -40,7 +39,7 @@ pub fn picture(figures: &Figures) -> Result<String> {
         laws_notes()
     );
     let notes = wrapped(&notes, LINE * 15 / 13);
-    let text_height = 20 * (conclusion.len() + notes.len()) as u32 + 34;
+    let text_height = sentences_height(&conclusion, &notes);
     page((WIDTH, PLOT_HEIGHT + text_height), |page| {
         let (plots, text) = page.split_vertically(PLOT_HEIGHT);
         let areas = plots.split_evenly((1, 2));
@@ -65,16 +64,7 @@ pub fn picture(figures: &Figures) -> Result<String> {
             let panel = self::panel(figures, title, "instructions per tick", counted);
             draw(right, &panel, &curves(figures, counted))?;
         }
-        for (row, line) in conclusion.iter().enumerate() {
-            text.draw_text(line, &letters(LABEL, BLACK), (40, 20 * row as i32 + 6))
-                .map_err(trouble)?;
-        }
-        for (row, line) in notes.iter().enumerate() {
-            let y = 20 * (conclusion.len() + row) as i32 + 14;
-            text.draw_text(line, &letters(SMALL, GREY), (40, y))
-                .map_err(trouble)?;
-        }
-        Ok(())
+        sentences(&text, &conclusion, &notes)
     })
 }
 

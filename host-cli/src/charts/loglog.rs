@@ -9,7 +9,7 @@ use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::style::{Area, FAINT, LABEL, SMALL, TITLE, letters, trouble};
+use super::style::{Area, FAINT, GREY, LABEL, SMALL, TITLE, letters, trouble};
 use crate::number::short;
 
 /// A point with what is written at it.
@@ -266,6 +266,22 @@ fn placed(
 
 fn overlap(a: Rectangle, b: Rectangle) -> bool {
     a[0] <= b[2] && b[0] <= a[2] && a[1] <= b[3] && b[1] <= a[3]
+}
+
+/// Pixels that [`sentences`] needs.
+pub fn sentences_height(lines: &[String], notes: &[String]) -> u32 {
+    20 * (lines.len() + notes.len()) as u32 + 34
+}
+
+/// Under a picture, what to conclude of it, and in grey how it was taken.
+pub fn sentences(area: &Area<'_>, lines: &[String], notes: &[String]) -> Result<()> {
+    let conclusions = lines.iter().map(|line| (line, letters(LABEL, BLACK), 6));
+    let notes = notes.iter().map(|line| (line, letters(SMALL, GREY), 14));
+    for (row, (line, style, below)) in conclusions.chain(notes).enumerate() {
+        area.draw_text(line, &style, (40, 20 * row as i32 + below))
+            .map_err(trouble)?;
+    }
+    Ok(())
 }
 
 /// Text in lines of at most so many letters.

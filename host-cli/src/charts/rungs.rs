@@ -4,8 +4,8 @@ use anyhow::Result;
 use plant_sim::compare::{Rung, Spread};
 use plotters::prelude::*;
 
-use super::loglog::{Curve, Look, Mark, Panel, draw, point, wrapped};
-use super::style::{BLUE, GREEN, GREY, LABEL, RED, SMALL, letters, page, trouble};
+use super::loglog::{Curve, Look, Mark, Panel, draw, point, sentences, sentences_height, wrapped};
+use super::style::{BLUE, GREEN, LABEL, RED, letters, page, trouble};
 use crate::commands::chart::Figures;
 use crate::commands::chart::rungs::{Ladder, conclusion, label, notes};
 
@@ -41,7 +41,7 @@ pub fn picture(figures: &Figures) -> Result<String> {
     let ladders = &figures.ladders;
     let lines = wrapped(&conclusion(ladders), LINE);
     let notes = wrapped(&notes(ladders, figures.rounds), LINE * 15 / 13);
-    let text_height = 20 * (lines.len() + notes.len()) as u32 + 34;
+    let text_height = sentences_height(&lines, &notes);
     page((WIDTH, PLOT_HEIGHT + LEGEND_HEIGHT + text_height), |page| {
         let (plots, rest) = page.split_vertically(PLOT_HEIGHT);
         let (legend, text) = rest.split_vertically(LEGEND_HEIGHT);
@@ -65,16 +65,7 @@ pub fn picture(figures: &Figures) -> Result<String> {
                 .draw_text(words, &letters(LABEL, BLACK), (x + 16, 4))
                 .map_err(trouble)?;
         }
-        for (row, line) in lines.iter().enumerate() {
-            text.draw_text(line, &letters(LABEL, BLACK), (40, 20 * row as i32 + 6))
-                .map_err(trouble)?;
-        }
-        for (row, line) in notes.iter().enumerate() {
-            let y = 20 * (lines.len() + row) as i32 + 14;
-            text.draw_text(line, &letters(SMALL, GREY), (40, y))
-                .map_err(trouble)?;
-        }
-        Ok(())
+        sentences(&text, &lines, &notes)
     })
 }
 

@@ -4,10 +4,9 @@ use anyhow::Result;
 use plant_sim::compare::{AFTER, Spread};
 use plotters::prelude::*;
 
-use super::loglog::{Curve, Look, Mark, Panel, draw, point, wrapped};
+use super::loglog::{Curve, Look, Mark, Panel, draw, point, sentences, sentences_height, wrapped};
 use super::style::{
-    Area, BLUE, GREEN, GREY, LABEL, ORANGE, PURPLE, RED, SKY, SMALL, letters, line_sample, page,
-    trouble,
+    Area, BLUE, GREEN, GREY, LABEL, ORANGE, PURPLE, RED, SKY, letters, line_sample, page, trouble,
 };
 use crate::commands::chart::report::{conclusions, methods_notes};
 use crate::commands::chart::{Family, Figures, Measured};
@@ -59,7 +58,7 @@ pub fn picture(figures: &Figures) -> Result<String> {
         lines.extend(wrapped(&sentence, LINE));
     }
     let notes = wrapped(&methods_notes(figures), LINE * 15 / 13);
-    let text_height = 20 * (lines.len() + notes.len()) as u32 + 30;
+    let text_height = sentences_height(&lines, &notes);
     let plots_height = 2 * PANEL.1;
     page(
         (WIDTH, plots_height + LEGEND_HEIGHT + text_height),
@@ -76,16 +75,7 @@ pub fn picture(figures: &Figures) -> Result<String> {
                 draw_classes(classes, figures)?;
             }
             draw_legend(&legend)?;
-            for (row, line) in lines.iter().enumerate() {
-                text.draw_text(line, &letters(LABEL, BLACK), (40, 20 * row as i32))
-                    .map_err(trouble)?;
-            }
-            for (row, line) in notes.iter().enumerate() {
-                let y = 20 * (lines.len() + row) as i32 + 8;
-                text.draw_text(line, &letters(SMALL, GREY), (40, y))
-                    .map_err(trouble)?;
-            }
-            Ok(())
+            sentences(&text, &lines, &notes)
         },
     )
 }

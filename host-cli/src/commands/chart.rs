@@ -312,7 +312,7 @@ pub fn run(args: &Args) -> Result<()> {
             output::publish(files.into())?;
         }
         None => {
-            text += "add --out NAME to write NAME.svg, NAME-laws.svg, NAME-fidelity.svg, NAME.csv and NAME.json\n"
+            text += "add --out NAME to write NAME.svg, NAME-laws.svg, NAME-fidelity.svg, NAME.csv and NAME.json\n";
         }
     }
     stop::check()?;

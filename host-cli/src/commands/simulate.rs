@@ -372,7 +372,7 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
             );
             trouble = row.err();
         }
-        trouble.is_none() && !(sample.number % 4096 == 0 && stop::requested())
+        trouble.is_none() && !(sample.number.is_multiple_of(4096) && stop::requested())
     };
     let report = match &simpler {
         Some(answer) => answer.simplified.run_under(loaded.control(), observe),
@@ -419,7 +419,7 @@ fn simpler(args: &Args, loaded: &Loaded) -> Result<Option<Answer>> {
         return Ok(None);
     }
     let tolerance_rad = args.tolerance.unwrap_or(TOLERANCE_RAD);
-    let go_on = |number| !(number % 4096 == 0 && stop::requested());
+    let go_on = |number: u64| !(number.is_multiple_of(4096) && stop::requested());
     let control = || loaded.control();
     Ok(Some(fidelity::simplest(
         &loaded.scene,
