@@ -134,7 +134,7 @@ pub static ALL: &[Failure] = &[
         test: "friction_of_exactly_one_half_just_holds",
         conclusion: "At σ = ½ one bit decides whether a display ever rests: ask |φ| ≤ σ, and design for more than ½.",
         put: "`Display::rests` by \\|φ\\| < σ",
-        found: "`midpoint:10` must rest, and moves for ever",
+        found: "`midpoint:10`, which stands still, must be at rest",
         evidence: numbers::sigma_half,
     },
     Failure {
