@@ -8,7 +8,7 @@ pub static ALL: &[Failure] = &[
         title: "Euler hides the instability",
         path: "scenes/fail/euler-hides.toml",
         scene: include_str!("../../../scenes/fail/euler-hides.toml"),
-        about: "Semi-implicit Euler with one step per sample takes the force at the start of the step and the velocity at its end. That is a damping of ½ K T that no display has, half of what sampling makes unstable: with n steps the threshold moves by 1/(2n).",
+        about: "Semi-implicit Euler with one step per sample takes the force at the start of the step and the velocity at its end. With n steps per sample that is a damping of ½ K T/n that no display has; with one, all that sampling takes away. The threshold moves by 1/(2n).",
         commands: &[
             "knob simulate scenes/fail/euler-hides.toml --method euler:1",
             "knob simulate scenes/fail/euler-hides.toml --method euler:10",
@@ -25,7 +25,7 @@ pub static ALL: &[Failure] = &[
         title: "Chatter about zero velocity",
         path: "scenes/fail/chatter.toml",
         scene: include_str!("../../../scenes/fail/chatter.toml"),
-        about: "With friction as σ sgn ξ̇ every step about zero velocity overshoots and turns the friction round. The display never rests, and where a step changes the velocity by more than 0.01 it is a limit cycle to every rule. A step that projects friction, or an exact stop, rests.",
+        about: "With friction as σ sgn ξ̇ every step about zero velocity overshoots and turns the friction round. The display never rests, and where a step changes the velocity by more than 0.01 the window rule calls it a limit cycle. A step that projects friction, or an exact stop, rests.",
         commands: &[
             "knob simulate scenes/fail/chatter.toml --method euler:10",
             "knob simulate scenes/fail/chatter.toml --method rk4:10",
@@ -134,7 +134,7 @@ pub static ALL: &[Failure] = &[
         test: "friction_of_exactly_one_half_just_holds",
         conclusion: "At σ = ½ one bit decides whether a display ever rests: ask |φ| ≤ σ, and design for more than ½.",
         put: "`Display::rests` by \\|φ\\| < σ",
-        found: "`midpoint:10` must rest, and moves for ever",
+        found: "`midpoint:10`, which stands still, must be at rest",
         evidence: numbers::sigma_half,
     },
     Failure {
@@ -142,7 +142,7 @@ pub static ALL: &[Failure] = &[
         title: "On the critical line",
         path: "scenes/fail/critical-line.toml",
         scene: include_str!("../../../scenes/fail/critical-line.toml"),
-        about: "(10) holds with a margin of exactly 0. One bit beyond it does not, although nothing changes in the display: the line is a sufficient condition, the display itself grows from about twice that speed on. On the line the answer is that of rounding, in decimals or in f32; as printed, (8) divides by the speed and is 0/0 at (σ, ξ̇) = (½, 0).",
+        about: "(10) holds with a margin of exactly 0. One bit beyond it does not, although nothing changes in the display: the line is a sufficient condition, the display itself grows from v₀ = 5.1 on, where β + 4σ/(πv₀) = ½. On the line the answer is that of rounding, in decimals or in f32; as printed, (8) divides by the speed and is 0/0 at (σ, ξ̇) = (½, 0).",
         commands: &[
             "knob simulate scenes/fail/critical-line.toml",
             "knob simulate --mu 50 --beta 0.25 --sigma 1 --v0 6 --samples 50000",
@@ -158,7 +158,7 @@ pub static ALL: &[Failure] = &[
         title: "A million counts per sample",
         path: "scenes/fail/million-counts.toml",
         scene: include_str!("../../../scenes/fail/million-counts.toml"),
-        about: "Beyond 2²³ counts single precision has no half counts left, and a state in f32 takes the wrong force. A 16-bit counter has turned round 15 times between two samples. In f64 and 32-bit counters there is room.",
+        about: "Beyond 2²² counts single precision is no finer than half a count, and a state in f32 takes the wrong force. A 16-bit counter has turned round 15 times between two samples. In f64 and 32-bit counters there is room.",
         commands: &[
             "knob simulate scenes/fail/million-counts.toml --method exact",
             "knob simulate scenes/fail/million-counts.toml --method midpoint:10",
@@ -358,7 +358,7 @@ pub static ALL: &[Failure] = &[
         title: "A delay that nobody told",
         path: "scenes/fail/delay-untold.toml",
         scene: include_str!("../../../scenes/fail/delay-untold.toml"),
-        about: "Also the energy ledger pays with energy that it believes in: half a period of delay that it was not told of, and it grows within ten ticks.",
+        about: "Also the energy ledger pays with energy that it believes in: half a period of delay that it was not told of, and it grows within a dozen ticks.",
         commands: &[
             "knob simulate scenes/fail/delay-untold.toml",
             "sed 's/^delay_s = 0.0$/delay_s = 0.5e-3/' scenes/fail/delay-untold.toml > mended.toml && knob simulate mended.toml",
