@@ -159,8 +159,6 @@ const PRECISE_WORK: u64 = 4_000;
 struct Extent {
     /// Cells along a side of the map.
     grid: usize,
-    /// The same of the map whose displays are timed.
-    timed_grid: usize,
     /// The same of the map that is checked with 77 digits.
     checked_grid: usize,
     /// Random displays.
@@ -171,22 +169,24 @@ struct Extent {
 
 const FULL: Extent = Extent {
     grid: 40,
-    timed_grid: 6,
     checked_grid: 10,
     displays: 64,
-    rounds: 7,
+    rounds: 15,
 };
 
 const QUICK: Extent = Extent {
     grid: 20,
-    timed_grid: 4,
     checked_grid: 4,
     displays: 16,
-    rounds: 3,
+    rounds: 5,
 };
 
+/// Cells along a side of the map whose displays are timed: few, so that a round is short and what
+/// disturbs the machine meets all methods alike.
+const TIMED_GRID: usize = 4;
+
 /// Rounds of timing ticks: they are short.
-const TICK_ROUNDS: usize = 15;
+const TICK_ROUNDS: usize = 25;
 
 /// β/μ at which the textbook's closed form is tried, besides β up to 1.
 const SMALL_RATES: [f64; 2] = [1e-6, 1e-12];
@@ -350,7 +350,7 @@ impl Extent {
         let cells = |grid: usize| (grid * grid) as u64;
         let once: u64 = entries.iter().map(|e| e.family.work(e.setting)).sum();
         let rounds = self.rounds as u64 + 1;
-        once * (cells(self.grid) + rounds * cells(self.timed_grid))
+        once * (cells(self.grid) + rounds * cells(TIMED_GRID))
             + PRECISE_WORK * cells(self.checked_grid)
             + DISPLAY_WORK * self.displays * (entries.len() + SMALL_RATES.len()) as u64
             + LAW_WORK * Contender::ALL.len() as u64
@@ -404,7 +404,7 @@ fn measure_all(
     let (stiffness, replays) = stiffness(&devices, bar)?;
 
     // From here on one thread, for the times.
-    let timed = Plane::new(extent.timed_grid)?;
+    let timed = Plane::new(TIMED_GRID)?;
     let work = entries.iter().map(|entry| entry.family.work(entry.setting));
     let steps: Vec<u64> = work.map(|work| work * timed.runs.len() as u64).collect();
     let next = std::cell::Cell::new(0);
