@@ -133,6 +133,26 @@ fn laws_are_what_they_must_be(json: &Value) {
     }
 }
 
+/// More of the plant is nearer to the full one, and auto errs by less than it promised.
+fn fidelity_is_what_it_must_be(json: &Value) {
+    let ladders = json["fidelity"].as_array().unwrap();
+    assert_eq!(ladders.len(), 2);
+    for ladder in ladders {
+        let rungs = ladder["rungs"].as_array().unwrap();
+        let error = |rung: &Value| rung["error_rad"].as_f64().unwrap();
+        let (autos, kept): (Vec<_>, Vec<_>) = rungs
+            .iter()
+            .partition(|rung| !rung["tolerance_rad"].is_null());
+        assert_eq!((kept.len(), autos.len()), (7, 4));
+        assert!(error(kept[0]) > 10.0 * error(kept[4]) && error(kept[6]) == 0.0);
+        for auto in autos {
+            let bound = auto["bound_rad"].as_f64().unwrap();
+            assert!(error(auto) <= bound, "{auto}");
+            assert!(bound <= auto["tolerance_rad"].as_f64().unwrap(), "{auto}");
+        }
+    }
+}
+
 #[test]
 fn the_quick_chart_measures_writes_and_refuses_to_replace() {
     let folder = TempDir::new().unwrap();
@@ -153,9 +173,10 @@ fn the_quick_chart_measures_writes_and_refuses_to_replace() {
     assert_eq!((&json["quick"], &json["grid"]), (&true.into(), &20.into()));
     accuracy_is_what_it_must_be(&json);
     laws_are_what_they_must_be(&json);
+    fidelity_is_what_it_must_be(&json);
 
     let read = |ending: &str| fs::read_to_string(path(ending)).unwrap();
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 4);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 5);
     assert_eq!(read(".json").as_bytes(), output.stdout);
     for one in json["methods"].as_array().unwrap() {
         let times = &one["ns_per_sample"];
@@ -185,6 +206,14 @@ fn the_quick_chart_measures_writes_and_refuses_to_replace() {
                 "energy ledger",
                 "instructions per tick",
                 "not in the firmware",
+            ],
+        ),
+        (
+            "-fidelity.svg",
+            [
+                "+ cogging",
+                "what auto promised",
+                "largest error of the angle, rad",
             ],
         ),
     ] {

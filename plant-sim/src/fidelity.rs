@@ -17,7 +17,7 @@
 //!   the torque had come late (see the source of `drive`). Only where it may come to a stop or turn before
 //!   the old torque is over does e_v grow, by twice the impulse that is then left, over m.
 //!
-//! What a phenomenon may do at most, P: a torque step, half of it; cogging, A; a shaking hand, its
+//! What a phenomenon may do at most, P: torque steps, what they take from or add to this torque; cogging, A; a shaking hand, its
 //! amplitude; stiction, s·e^(−(v/v_s)²) at the lowest speed in the tick; a hand, M·|a| + B·|v| + K|x − rest| +
 //! |push|. If an attempt fails, what has contributed most is kept, and the scene runs again. Where
 //! stiction is kept all is kept: it lets velocities drift apart; and delay and lag are kept beside a spring.
@@ -339,7 +339,6 @@ fn droppable(scene: &Scene, tolerance_rad: f64) -> Phenomena {
         drive, motor, hand, ..
     } = scene;
     for (phenomenon, torque_nm) in [
-        (Phenomenon::TorqueStep, 0.5 * drive.torque_step_nm),
         (Phenomenon::Cogging, motor.cogging_nm),
         (Phenomenon::HandShake, hand.shake_nm.abs()),
         (Phenomenon::Hand, hand.push_nm.abs()),
@@ -394,6 +393,7 @@ struct Tube {
     drive: Drive,
     /// What is left out.
     late: Option<(Late, Impulse)>,
+    steps: Drive,
     step_nm: f64,
     cogging_nm: f64,
     shake_nm: f64,
@@ -464,6 +464,10 @@ impl Tube {
                 let impulse = Impulse::new(&late.drive, &joined);
                 (late, impulse)
             }),
+            steps: Drive {
+                torque_step_nm: if_dropped(Phenomenon::TorqueStep, full.drive.torque_step_nm),
+                ..Drive::default()
+            },
             step_nm: if_dropped(Phenomenon::TorqueStep, 0.5 * full.drive.torque_step_nm),
             cogging_nm: if_dropped(Phenomenon::Cogging, motor.cogging_nm),
             shake_nm: if_dropped(Phenomenon::HandShake, shake_nm),
@@ -595,7 +599,7 @@ impl Tube {
         let per_nm = dt / self.inertia;
         let mut torque_nm = 0.0;
         for (phenomenon, part_nm) in [
-            (Phenomenon::TorqueStep, self.step_nm),
+            (Phenomenon::TorqueStep, self.of_the_steps(last.torque_nm)),
             (Phenomenon::Cogging, self.cogging_nm),
             (Phenomenon::HandShake, self.shake_nm),
             (
@@ -678,6 +682,16 @@ impl Tube {
         // Never NaN: without any brake the quotient is infinite, or 0/0 and then 0.
         let missed = 2.0 * change * late.left_s(stands_s);
         (kicked, missed, missed * late.lasts_s / self.inertia)
+    }
+
+    /// What the steps that are left out would do at most to the torque of a tick, Nm: to the old and
+    /// the new one, or, where older ones may last, to any.
+    fn of_the_steps(&self, torque_nm: f64) -> f64 {
+        if self.follows_s > 0.0 {
+            return self.step_nm;
+        }
+        let wrong = |torque_nm: f64| (self.steps.rounded(torque_nm) - torque_nm).abs();
+        wrong(self.before_nm).max(wrong(torque_nm))
     }
 
     fn stiction_most(&self) -> f64 {

@@ -198,7 +198,8 @@ pub fn csv(ladders: &[Ladder]) -> Result<String> {
     let mut text = String::new();
     for ladder in ladders {
         for rung in &ladder.rungs {
-            let head = format!("fidelity,\"{}\",{:e}", label(rung), ladder.strength);
+            let name = label(rung).replace(", ", " and ");
+            let head = format!("fidelity,{name},{:e}", ladder.strength);
             let Spread { low, median, high } = rung.tick_ns;
             writeln!(text, "{head},time,,{median},{low},{high},ns per tick")?;
             writeln!(text, "{head},error,,{},,,rad", rung.error_rad)?;
