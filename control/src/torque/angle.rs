@@ -10,7 +10,7 @@ use crate::sine::sine_and_cosine_of_turns;
 const TURN: f64 = 4_294_967_296.0;
 
 /// 2⁻³².
-const TURN_INVERSE: f32 = 1.0 / 4_294_967_296.0;
+const TURN_INVERSE: f32 = (1.0 / TURN) as f32;
 
 /// The most counts in a turn of the shaft: rounding of one count's angle then adds up to less than
 /// 1.3e-4 electrical turns over the turn.
