@@ -5,6 +5,9 @@ use super::regulator::{Gains, Regulator};
 use super::{BrushedMotor, Delivery, InverterConfig, LoopConfig, Measured, TorqueError, within};
 use crate::error::positive;
 
+/// Steps of the converter: between two codes the loop hunts, a little beyond the half of one.
+const CURRENT_STEPS: f64 = 1.25;
+
 /// The current loop of a brushed motor between B and C: v = PI(i* − i) + k · speed, i* = torque/k.
 ///
 /// Both ends are measured, i = (B − C)/2: what both converters have in common cancels.
@@ -47,7 +50,11 @@ impl BrushedLoop {
             )?,
             current_max_a: asked.current_max_a as f32,
             torque_constant_nm_a: constant as f32,
-            delivery: asked.delivery(constant, inverter.current_step_a, inverter.pwm_period_s),
+            delivery: asked.delivery(
+                constant,
+                CURRENT_STEPS * inverter.current_step_a,
+                inverter.pwm_period_s,
+            ),
         })
     }
 
