@@ -3,6 +3,12 @@
 
 use std::f64::consts::TAU;
 
+use control::config::{Believed, Config, Law, Timing};
+use control::criterion::Device;
+use control::encoder::EncoderConfig;
+use control::plan::Plan;
+use control::shape::Shape;
+use control::tick::Controller;
 use control::torque::angle::EncoderOnMotor;
 use control::torque::brushed::BrushedLoop;
 use control::torque::cogging::CoggingFeedForward;
@@ -11,7 +17,7 @@ use control::torque::modulation::Duties;
 use control::torque::sense::{CurrentSense, PhaseCurrents};
 use control::torque::voltage::VoltageDrive;
 use control::torque::{
-    BrushedMotor, FASTEST, InverterConfig, LoopConfig, Measured, ThreePhaseMotor,
+    BrushedMotor, Delivery, FASTEST, InverterConfig, LoopConfig, Measured, ThreePhaseMotor,
 };
 use plant_sim::drive::Drive;
 use plant_sim::electrical::{CurrentSensing, Electrical, Inverter, Supply, Winding};
@@ -348,6 +354,70 @@ proptest! {
             prop_assert!(under < 0.02 * way, "{under} of {way}");
         }
         prop_assert!(furthest(&down[1_000..], goal) < 0.01 * (goal.abs() + 0.01 * top.abs()));
+    }
+
+    /// Whatever is asked for, no current flows beyond the limit but for the overshoot of a step.
+    #[test]
+    fn the_current_limit_holds(
+        motor in motors(), commands in prop::collection::vec(-10.0..10.0f64, 1..12), periods in 1..60_usize,
+    ) {
+        let current = 0.5 * step_without_limit_a(motor.resistance_ohm, motor.q_inductance_h, REACH_V);
+        let per_a = motor.torque_constant_nm_a();
+        let mut drive = CurrentLoop::new(
+            &motor, &encoder(motor.pole_pairs), &INVERTER, &asked(current, 0.0),
+        ).unwrap();
+        let mut bench = Bench::three_phase(&motor);
+        for command in commands {
+            let torque = (command * current * per_a) as f32;
+            for _ in 0..periods {
+                bench.period(|measured| drive.tick(torque, measured));
+                let [d, q] = bench.plant.rotor_currents();
+                // Steps come from either limit: 1 % of two.
+                prop_assert!(q.abs() < 1.021 * current, "{q} of {current}");
+                prop_assert!(d.abs() < 0.01 * current, "{d}");
+            }
+        }
+    }
+
+    /// Measurements that are no numbers, or absurd, make no duty that the bridge has not, and are
+    /// forgotten once they are over.
+    #[test]
+    fn absurd_measurements_are_survived(
+        motor in motors(),
+        absurd in prop::collection::vec((0..5_usize, prop_oneof![
+            Just(f32::NAN), Just(f32::INFINITY), Just(f32::NEG_INFINITY), Just(f32::MAX), -1e9..1e9f32,
+        ], any::<i32>()), 1..20),
+    ) {
+        let current = 0.5 * step_without_limit_a(motor.resistance_ohm, motor.q_inductance_h, REACH_V);
+        let goal = current * motor.torque_constant_nm_a();
+        let mut drive = CurrentLoop::new(
+            &motor, &encoder(motor.pole_pairs), &INVERTER, &asked(2.0 * current, 0.0),
+        ).unwrap();
+        let good = Measured {
+            currents: PhaseCurrents { b_a: 0.0, c_a: 0.0 },
+            count: 0,
+            speed_rad_s: 0.0,
+            bus_v: BUS_V as f32,
+        };
+        for (which, value, count) in absurd {
+            let mut measured = Measured { count, ..good };
+            let mut torque = goal as f32;
+            match which {
+                0 => measured.currents.b_a = value,
+                1 => measured.currents.c_a = value,
+                2 => measured.speed_rad_s = value,
+                3 => measured.bus_v = value,
+                _ => torque = value,
+            }
+            for part in drive.tick(torque, &measured).parts() {
+                prop_assert!((0.0..=0.85_f32).contains(&part), "{part}");
+            }
+        }
+        // A winding's time constant may pass until the integral has recovered.
+        let mut bench = Bench::three_phase(&motor);
+        let torques = bench.run(3_000, |measured| drive.tick(goal as f32, measured));
+        let error = furthest(&torques[2_000..], goal);
+        prop_assert!(error < 0.01 * goal, "{error} of {goal}");
     }
 
     /// A brushed motor between B and C: the same figures.
@@ -709,7 +779,7 @@ fn the_governor_is_told_the_step_there_is() {
 
 /// The speed ripple of a gimbal motor that coasts over its cogging, relative.
 fn coasting_ripple(feed_forward: Option<&CoggingFeedForward>) -> f64 {
-    let device = control::criterion::Device {
+    let device = Device {
         inertia_kg_m2: 1e-5,
         viscous_nm_s_rad: 0.0,
         coulomb_nm: 0.0,
@@ -799,4 +869,131 @@ fn torque_is_within_a_hundredth_with_everything_at_once() {
         let error = (mean(&torques[1_200..]) / goal - 1.0).abs();
         assert!(error < 0.01, "brushed, {goal}: {error}");
     }
+}
+
+/// A knob behind its drive: a haptic tick every so many PWM periods, in the same interrupt, its torque held
+/// until the next. Returns its largest energy in the first and in the last fifth of a run, J.
+fn energy_of_a_spring(
+    config: &Config,
+    device: &Device<f64>,
+    every: u32,
+    mut drive: impl FnMut(f32, &Measured) -> Duties,
+    winding: Winding,
+) -> (f64, f64) {
+    let start = State {
+        position: 0.0,
+        velocity: 20.0,
+    };
+    let (hand, ideal) = (Hand::default(), Drive::default());
+    let mut knob = Knob::new(device, &Motor::default(), &hand, &ideal, PERIOD_S, start).unwrap();
+    let mut bench = Bench::new(winding, late());
+    let mut controller = Controller::new(Plan::new(config).unwrap(), 0);
+    let (mut state, mut torque, mut count_before) = (start, 0.0, 0);
+    let mut speed = 0.0;
+    let periods = 96_000;
+    let (mut first, mut last) = (0.0_f64, 0.0_f64);
+    for period in 0..periods {
+        (bench.angle_rad, bench.velocity_rad_s) = (state.position, state.velocity);
+        let measured = bench.measured();
+        if period % every == 0 {
+            let count = measured.count;
+            torque = controller
+                .tick(count as u32, config.timing.period_s as f32)
+                .torque_nm;
+            let moved = f64::from(count - count_before) * config.hardware_count_rad;
+            speed = (moved / config.timing.period_s) as f32;
+            count_before = count;
+        }
+        let told = Measured {
+            speed_rad_s: speed,
+            ..measured
+        };
+        let duties = drive(torque, &told).parts().map(f64::from);
+        let given = bench.plant.period(duties, state.position, state.velocity);
+        state = knob.hold(given.torque_nm, PERIOD_S).end;
+        let energy = 0.5 * device.inertia_kg_m2 * state.velocity.powi(2);
+        if period < periods / 5 {
+            first = first.max(energy);
+        } else if period >= periods / 5 * 4 {
+            last = last.max(energy);
+        }
+    }
+    (first, last)
+}
+
+/// A spring as stiff as a governor allows who knows nothing of the drive gains energy through its lag; told
+/// the delivery, the governor allows less, and it gains none.
+#[test]
+fn the_governor_keeps_a_spring_passive_when_it_knows_the_drive() {
+    let device = Device {
+        inertia_kg_m2: 5e-5,
+        viscous_nm_s_rad: 2e-5,
+        coulomb_nm: 1e-4,
+    };
+    let every = 4;
+    let timing = Timing::ideal(f64::from(every) * PERIOD_S);
+    let told = |delivery: Option<&Delivery>| Config {
+        believed: Believed::exactly(&device),
+        timing: Timing {
+            delay_s: delivery.map_or(0.0, |delivery| delivery.delay_s),
+            amplifier_tau_s: delivery.map_or(0.0, |delivery| delivery.tau_s),
+            ..timing
+        },
+        torque_step_nm: 0.0,
+        hardware_count_rad: TAU / f64::from(COUNTS_PER_REV),
+        encoder: EncoderConfig::new(32, 1).unwrap(),
+        shape: Shape::Spring { centre_rad: 0.0 },
+        // More than any of them allows, at any speed.
+        stiffness_nm_rad: 2.0,
+        damping_nm_s_rad: 0.0,
+        law: Law::Static,
+        torque_max_nm: 1.0,
+    };
+    let gain =
+        |delivery: Option<&Delivery>, drive: &mut dyn FnMut(f32, &Measured) -> Duties, winding| {
+            let config = told(delivery);
+            let (first, last) = energy_of_a_spring(&config, &device, every, drive, winding);
+            last / first
+        };
+    let brushed = || BrushedLoop::new(&RE35, &INVERTER, &asked(9.0, 0.0)).unwrap();
+    let known = brushed().delivery();
+    let mut drive = brushed();
+    let naive = gain(None, &mut |t, m| drive.tick(t, m), Winding::Brushed(RE35));
+    let mut drive = brushed();
+    let informed = gain(
+        Some(&known),
+        &mut |t, m| drive.tick(t, m),
+        Winding::Brushed(RE35),
+    );
+    println!("energy, brushed: x {naive:.2} naive, x {informed:.4} informed");
+    assert!(naive > 1.5, "{naive}");
+    assert!(informed < 1.0, "{informed}");
+
+    let strong = || CurrentLoop::new(&STRONG, &encoder(7), &INVERTER, &asked(9.0, 0.0)).unwrap();
+    let known = strong().delivery();
+    let mut drive = strong();
+    let naive = gain(
+        None,
+        &mut |t, m| drive.tick(t, m),
+        Winding::ThreePhase(STRONG),
+    );
+    let mut drive = strong();
+    let informed = gain(
+        Some(&known),
+        &mut |t, m| drive.tick(t, m),
+        Winding::ThreePhase(STRONG),
+    );
+    println!("energy, three-phase: x {naive:.2} naive, x {informed:.4} informed");
+    assert!(naive > 1.5, "{naive}");
+    assert!(informed < 1.0, "{informed}");
+
+    let gimbal = VoltageDrive::new(&GIMBAL, &encoder(7), &INVERTER, 5.0, 0.0).unwrap();
+    let known = gimbal.delivery();
+    let mut tick = |t: f32, m: &Measured| gimbal.tick(t, m);
+    let naive = gain(None, &mut tick, Winding::ThreePhase(GIMBAL));
+    let informed = gain(Some(&known), &mut tick, Winding::ThreePhase(GIMBAL));
+    println!("energy, gimbal: x {naive:.2} naive, x {informed:.4} informed");
+    // Until its voltage is at its end.
+    assert!(naive > 1.3, "{naive}");
+    assert!(informed < 1.0, "{informed}");
 }

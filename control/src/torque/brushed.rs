@@ -38,12 +38,15 @@ impl BrushedLoop {
         positive("torque constant (Nm/A)", constant as f32)?;
         Ok(Self {
             modulator,
-            regulator: Regulator::new(Gains::new(
-                motor.resistance_ohm,
-                motor.inductance_h,
-                asked.bandwidth_rad_s,
-                inverter.pwm_period_s,
-            )?),
+            regulator: Regulator::new(
+                Gains::new(
+                    motor.resistance_ohm,
+                    motor.inductance_h,
+                    asked.bandwidth_rad_s,
+                    inverter.pwm_period_s,
+                )?,
+                inverter.bus_most_v,
+            )?,
             current_per_torque_a_nm: positive(
                 "current per torque (A/Nm)",
                 (1.0 / constant) as f32,

@@ -100,8 +100,8 @@ impl CurrentLoop {
         Ok(Self {
             modulator,
             rotor: RotorAngle::new(encoder, motor.pole_pairs)?,
-            d: Regulator::new(gains(motor.d_inductance_h)?),
-            q: Regulator::new(gains(motor.q_inductance_h)?),
+            d: Regulator::new(gains(motor.d_inductance_h)?, inverter.bus_most_v)?,
+            q: Regulator::new(gains(motor.q_inductance_h)?, inverter.bus_most_v)?,
             current_per_torque_a_nm: positive(
                 "current per torque (A/Nm)",
                 (1.0 / constant) as f32,

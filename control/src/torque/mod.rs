@@ -22,7 +22,8 @@
 //! # Trust
 //! A drive is made from checked numbers and cannot be invalid. Its tick has no error path: a
 //! torque that is not a number counts as 0, a bus voltage below the least believed counts as
-//! that, a measurement that is not a number gives duties of 0 and is not remembered.
+//! that; a measurement that is not a number gives duties of 0, and an absurd one leaves at most the
+//! voltage of the bus in an integral.
 //!
 //! # Assumed
 //! Motor values are the believed ones, of windings at the temperature at which they were measured:

@@ -1,6 +1,6 @@
 //! A PI controller of a current, which cannot wind up.
 
-use super::TorqueError;
+use super::{TorqueError, within};
 use crate::error::positive;
 use crate::plan::exponential_decay;
 
@@ -56,18 +56,24 @@ impl Gains {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Regulator {
     gains: Gains,
+    /// The largest |I|, V.
+    most_v: f32,
     /// I, V.
     integral_v: f32,
 }
 
 impl Regulator {
-    /// With nothing in its integral.
-    #[must_use]
-    pub fn new(gains: Gains) -> Self {
-        Self {
+    /// With nothing in its integral, and never more than ±`most_v` (V), which is for the most that the bus
+    /// can give: so that an absurd measurement is forgotten as fast as a wrong voltage.
+    ///
+    /// # Errors
+    /// Refuses a `most_v` that is not finite and above 0.
+    pub fn new(gains: Gains, most_v: f64) -> Result<Self, TorqueError> {
+        Ok(Self {
             gains,
+            most_v: positive("largest integral (V)", most_v as f32)?,
             integral_v: 0.0,
-        }
+        })
     }
 
     /// K_p e + I, V.
@@ -78,13 +84,11 @@ impl Regulator {
     }
 
     /// Once in a period: `delivered_v` is what was left of [`Self::volts`] by the voltage limit. What
-    /// is not finite is passed over.
+    /// is not a number clears the integral.
     #[inline]
     pub fn follow(&mut self, delivered_v: f32) {
         let next = self.integral_v + self.gains.reset * (delivered_v - self.integral_v);
-        if next.is_finite() {
-            self.integral_v = next;
-        }
+        self.integral_v = within(next, self.most_v);
     }
 
     /// Forgets.
@@ -112,7 +116,7 @@ mod tests {
         ) {
             let period = 1.0 / 24e3;
             let gains = Gains::new(resistance, resistance * time_constant, 0.29 / period, period).unwrap();
-            let mut regulator = Regulator::new(gains);
+            let mut regulator = Regulator::new(gains, 50.0).unwrap();
             for _ in 0..ticks {
                 let volts = regulator.volts(error);
                 regulator.follow(volts.clamp(-limit, limit));
@@ -128,7 +132,7 @@ mod tests {
         ) {
             let (period, k) = (1.0 / 24e3, 0.2);
             let gains = Gains::new(resistance, resistance * time_constant, k / period, period).unwrap();
-            let mut regulator = Regulator::new(gains);
+            let mut regulator = Regulator::new(gains, 1e9).unwrap();
             for tick in 0..50 {
                 let expected = k * resistance * f64::from(error) * f64::from(tick);
                 let scale = f64::from((gains.proportional * error).abs()) + expected.abs();
@@ -139,12 +143,16 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_is_no_number_is_remembered() {
-        let mut regulator = Regulator::new(Gains::new(1.0, 1e-3, 5_000.0, 1.0 / 24e3).unwrap());
-        regulator.follow(3.0);
-        let before = regulator;
-        regulator.follow(f32::NAN);
-        regulator.follow(f32::INFINITY);
-        assert_eq!(regulator, before);
+    fn nothing_absurd_stays_in_the_integral() {
+        let gains = Gains::new(1.0, 1e-3, 5_000.0, 1.0 / 24e3).unwrap();
+        let mut regulator = Regulator::new(gains, 25.0).unwrap();
+        for (absurd, left) in [
+            (f32::MAX, 25.0),
+            (f32::NEG_INFINITY, -25.0),
+            (f32::NAN, 0.0),
+        ] {
+            regulator.follow(absurd);
+            assert_eq!(regulator.integral_v, left);
+        }
     }
 }
