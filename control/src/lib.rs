@@ -10,6 +10,7 @@
 //! - [`ledger`]: the energy ledger; [`tuning`]: its constants and parts;
 //! - [`config`] and [`plan`]: what a controller is told, and what it makes of that;
 //! - [`tick`]: the tick that joins them, under the laws raw, static, episode, ledger and auto;
+//! - [`torque`]: from a torque to the duties of an inverter, and what that leaves for the margin;
 //! - [`root`] and [`sine`]: of + × ÷ alone.
 //!
 //! It knows no board, no wire and no plant, uses no allocation, and the tick cannot panic.
@@ -33,6 +34,7 @@ pub mod root;
 pub mod shape;
 pub mod sine;
 pub mod tick;
+pub mod torque;
 pub mod tuning;
 
 pub use error::ConfigError;

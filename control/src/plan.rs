@@ -355,7 +355,7 @@ fn ledger_plan(
 }
 
 /// e^(−time/constant), 0 for constant = 0; `core` has no exponential.
-fn exponential_decay(time: f64, constant: f64) -> f64 {
+pub(crate) fn exponential_decay(time: f64, constant: f64) -> f64 {
     if time >= 40.0 * constant {
         return 0.0;
     }

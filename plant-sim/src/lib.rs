@@ -15,6 +15,7 @@
 //! - [`knob`]: the plant with what a real one adds, each opt-in: a [`hand`] that holds it,
 //!   a [`drive`] that delays, lags and rounds the torque, a [`motor`] that cogs and sticks, a [`clock`]
 //!   that is not even;
+//! - [`electrical`]: windings behind an inverter, PWM period by PWM period, for scenes that ask for it;
 //! - [`fidelity`]: a scene without what cannot change its answer, with a bound on the error;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
 //! - [`preset`]: devices known by name;
@@ -34,6 +35,7 @@ pub mod closed_loop;
 pub mod compare;
 pub mod display;
 pub mod drive;
+pub mod electrical;
 pub mod energy;
 pub mod fidelity;
 pub mod hand;
