@@ -13,6 +13,7 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 
 use defmt_semihosting as _;
 use firmware::board::{AngleCounter, SerialOutput, TickClock, TorqueOutput};
+use firmware::store::NoStore;
 use semihosting::fs::File;
 use semihosting::io::{Read, Write};
 use semihosting::process;
@@ -40,9 +41,14 @@ pub struct Board {
     pub serial_in: SerialIn,
     /// Bytes to the host.
     pub serial_out: SerialOut,
+    /// What keeps settings.
+    pub storage: Storage,
     /// What `idle` does.
     pub rest: Rest,
 }
+
+/// QEMU's flash answers Ok to erase and program, and stores nothing.
+pub type Storage = NoStore;
 
 /// The word that the plant's count was put in.
 pub struct Encoder(());
@@ -126,16 +132,13 @@ pub fn set_up(device: pac::Peripherals) -> Board {
             .set_bit()
     });
     device.TIM5.cr1().write(|w| w.cen().set_bit());
-    PERIOD.store(
-        firmware::settings::DEFAULTS.sample_period_s.to_bits(),
-        Relaxed,
-    );
     Board {
         clock: Clock(()),
         encoder: Encoder(()),
         torque: Torque(()),
         serial_in: SerialIn(()),
         serial_out: SerialOut(device.USART1),
+        storage: NoStore,
         rest: Rest::open(),
     }
 }
