@@ -97,6 +97,23 @@ impl Keep for NoStore {
     }
 }
 
+/// A board that may keep settings; None keeps none.
+impl<K: Keep> Keep for Option<K> {
+    fn load(&mut self) -> Loaded {
+        match self {
+            Some(store) => store.load(),
+            None => NoStore.load(),
+        }
+    }
+
+    fn save(&mut self, parameters: &Parameters) -> Result<(), SaveError> {
+        match self {
+            Some(store) => store.save(parameters),
+            None => NoStore.save(parameters),
+        }
+    }
+}
+
 /// Two neighbouring sectors of [`NorFlash::ERASE_SIZE`] bytes.
 pub struct Store<F> {
     flash: F,
