@@ -220,7 +220,7 @@ fn instructions(path: &Path, changes: Changes) -> usize {
     let mut arguments = trace.to_vec();
     arguments.push(ranges.join(","));
     arguments.extend(["-D".into(), log.display().to_string()]);
-    let mut bench = bench_of(path, 0, &arguments, changes);
+    let mut bench = bench_of(path, 0, &arguments, None, changes);
     for _ in 0..300 {
         bench.tick().unwrap();
     }

@@ -208,7 +208,7 @@ impl Port {
         if let Some(link) = link {
             // A link that an earlier run left behind is replaced; anything else is not.
             if link.is_symlink() {
-                std::fs::remove_file(link)
+                fs::remove_file(link)
                     .with_context(|| format!("--port-link: {}", link.display()))?;
             }
             std::os::unix::fs::symlink(&path, link)
@@ -267,7 +267,7 @@ const MOST_WAITING: usize = 1 << 17;
 impl Drop for Port {
     fn drop(&mut self) {
         if let Some(link) = &self.link {
-            let _ = std::fs::remove_file(link);
+            let _ = fs::remove_file(link);
         }
     }
 }
