@@ -2,11 +2,13 @@
 //! emulator.
 #![forbid(unsafe_code)]
 
+mod flash;
 #[cfg(unix)]
 mod rig;
 pub mod systematic;
 mod twin;
 
+pub use flash::{Cut, Flash, PowerCut, Random};
 #[cfg(unix)]
 pub use rig::Rig;
 pub use twin::{Answer, Twin, answers, request_frame};

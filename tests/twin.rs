@@ -1,29 +1,38 @@
 use std::collections::VecDeque;
 
 use firmware::desk::{Desk, Identity};
-use firmware::settings::{self, DEFAULTS};
+use firmware::settings;
+use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
 use firmware::{Commands, Link, Records};
 use protocol::{FRAME_MAX, Frames, FromDevice, Message, Request, ToDevice, decode, encode};
 
 /// The firmware without its board, on this machine.
-pub struct Twin {
+pub struct Twin<K = NoStore> {
     ticker: Ticker<'static>,
-    desk: Desk<'static>,
+    desk: Desk<'static, K>,
     inbox: VecDeque<u8>,
     outbox: Vec<u8>,
     period_s: f32,
 }
 
 impl Twin {
-    /// Just started, with the counter at `counter`.
+    /// Just started, with the counter at `counter`, on a board that keeps no settings.
     #[must_use]
     pub fn new(counter: u32, git_hash: &'static str) -> Self {
+        Self::start(counter, git_hash, NoStore)
+    }
+}
+
+impl<K: Keep> Twin<K> {
+    /// Just started, with the counter at `counter` and what the store holds.
+    #[must_use]
+    pub fn start(counter: u32, git_hash: &'static str, mut store: K) -> Self {
         // Two queues and a few words a twin, kept until the test ends.
         let link: &'static Link = Box::leak(Box::new(Link::new()));
         let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
         let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
-        let settled = settings::settle(&DEFAULTS, 32).expect("the defaults settle");
+        let start = settings::start(&store.load(), 32).expect("the defaults settle");
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
             git_hash,
@@ -31,11 +40,24 @@ impl Twin {
             counter_bits: 32,
         };
         Self {
-            ticker: Ticker::new(&settled, counter, link, command_receiver, record_sender),
-            desk: Desk::new(identity, DEFAULTS, link, command_sender, record_receiver),
+            ticker: Ticker::new(
+                &start.settled,
+                counter,
+                link,
+                command_receiver,
+                record_sender,
+            ),
+            desk: Desk::new(
+                identity,
+                &start,
+                store,
+                link,
+                command_sender,
+                record_receiver,
+            ),
             inbox: VecDeque::new(),
             outbox: Vec::new(),
-            period_s: DEFAULTS.sample_period_s,
+            period_s: start.parameters.sample_period_s,
         }
     }
 
@@ -78,6 +100,12 @@ impl Twin {
     #[must_use]
     pub fn period_s(&self) -> f32 {
         self.period_s
+    }
+
+    /// Switches it off; what it kept is in the store.
+    #[must_use]
+    pub fn into_store(self) -> K {
+        self.desk.into_store()
     }
 
     /// Takes what it has sent.

@@ -20,7 +20,7 @@ pub trait TorqueOutput {
 
 /// The clock of the tick.
 pub trait TickClock {
-    /// Ticks every `period_s` from the next one on; called in a tick, with a period within the
+    /// Ticks every `period_s` from the next one on; called before the first tick and in a tick, with a period within the
     /// limits of [`crate::settings::HIGHEST`] and [`crate::settings::LOWEST`].
     fn set_period_s(&mut self, period_s: f32);
 

@@ -7,11 +7,12 @@ use control::config::Law;
 use control::tick::Reason;
 use protocol::{
     Changes, ClampReason, Event, FRAME_MAX, Fields, Frames, FromDevice, Hello, Message, Name,
-    Parameters, Refusal, Request, State, Status, Subscription, Telemetry, ToDevice, VERSION,
-    decode, encode,
+    Parameters, Refusal, Request, State, Status, Stored, Subscription, Telemetry, ToDevice,
+    VERSION, decode, encode,
 };
 
-use crate::settings::{self, HIGHEST, LOWEST};
+use crate::settings::{self, HIGHEST, LOWEST, Start};
+use crate::store::{Keep, SaveError};
 use crate::ticker::{Command, Fault, Occasion, Record, StateCode};
 use crate::{CommandSender, Link, RecordReceiver};
 
@@ -43,9 +44,13 @@ struct Pending {
 }
 
 /// The desk, and all that it owns.
-pub struct Desk<'a> {
+pub struct Desk<'a, K> {
     identity: Identity,
     parameters: Parameters,
+    stored: Stored,
+    /// The parameters that the store would give at the next start, where it is known to.
+    kept: Option<Parameters>,
+    store: K,
     subscription: Subscription,
     pending: Option<Pending>,
     frames: Frames,
@@ -58,19 +63,23 @@ pub struct Desk<'a> {
     records: RecordReceiver<'a>,
 }
 
-impl<'a> Desk<'a> {
-    /// A desk for a tick that was started with these parameters.
+impl<'a, K: Keep> Desk<'a, K> {
+    /// A desk for a tick that was started with what `store` held.
     #[must_use]
     pub fn new(
         identity: Identity,
-        parameters: Parameters,
+        start: &Start,
+        store: K,
         link: &'a Link,
         commands: CommandSender<'a>,
         records: RecordReceiver<'a>,
     ) -> Self {
         Self {
             identity,
-            parameters,
+            parameters: start.parameters,
+            stored: start.stored,
+            kept: (start.stored == Stored::Last).then_some(start.parameters),
+            store,
             subscription: Subscription::default(),
             pending: None,
             frames: Frames::new(),
@@ -81,6 +90,11 @@ impl<'a> Desk<'a> {
             commands,
             records,
         }
+    }
+
+    /// Gives the store back.
+    pub fn into_store(self) -> K {
+        self.store
     }
 
     /// Answers what the tick has taken, reads what the host sent as long as no request waits for the
@@ -171,7 +185,12 @@ impl<'a> Desk<'a> {
             Request::Clear => {
                 return self.command(sequence, Command::Clear, self.parameters, write);
             }
-            Request::Save => Message::Refused(Refusal::NoStorage),
+            Request::Save => match self.save() {
+                Ok(()) => Message::Done {
+                    tick: self.link.tick.load(Relaxed),
+                },
+                Err(refusal) => Message::Refused(refusal),
+            },
             Request::Subscribe(subscription) => {
                 self.subscription = *subscription;
                 self.link
@@ -189,6 +208,7 @@ impl<'a> Desk<'a> {
                 state: self.state(),
                 dropped: self.link.dropped.load(Relaxed),
                 bad_frames: self.bad_frames,
+                stored: self.stored,
             }),
         };
         send(sequence, answer, write);
@@ -219,6 +239,34 @@ impl<'a> Desk<'a> {
             }
         }
         Ok((Command::Configure(settled), parameters))
+    }
+
+    /// Keeps the parameters in force, unless they are kept already: a request that is repeated costs
+    /// no flash. Nothing is under way with the tick now, so disarmed it stays until this is done.
+    fn save(&mut self) -> Result<(), Refusal> {
+        if self.stored == Stored::NoStorage {
+            return Err(Refusal::NoStorage);
+        }
+        match self.state() {
+            State::Disarmed => {}
+            state => return Err(Refusal::State(state)),
+        }
+        if self.kept == Some(self.parameters) {
+            return Ok(());
+        }
+        match self.store.save(&self.parameters) {
+            Ok(()) => {
+                self.stored = Stored::Last;
+                self.kept = Some(self.parameters);
+                Ok(())
+            }
+            Err(SaveError::NoStorage) => Err(Refusal::NoStorage),
+            Err(SaveError::Flash | SaveError::ReadBack | SaveError::TooLong) => {
+                // What the next start finds is only known then.
+                self.kept = None;
+                Err(Refusal::NotKept)
+            }
+        }
     }
 
     /// Hands a command to the tick; it is answered when the tick has taken it.

@@ -3,6 +3,7 @@
 //! - [`ticker`]: what the tick's interrupt does, and the state disarmed, armed, fault;
 //! - [`desk`]: what answers the host, below the tick;
 //! - [`settings`]: parameters as they come over the wire, checked and made into a plan;
+//! - [`store`]: settings that survive, in two sectors of flash;
 //! - [`board`]: what a board owes the two; the boards themselves lie in `src/board/`.
 //!
 //! The ticker and the desk share a [`Link`] and two queues of `heapless`; neither ever waits for the
@@ -13,6 +14,7 @@
 pub mod board;
 pub mod desk;
 pub mod settings;
+pub mod store;
 pub mod ticker;
 
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};

@@ -18,13 +18,14 @@ fn main() {
 mod app {
     use firmware::board::{AngleCounter, SerialOutput, TickClock, TorqueOutput};
     use firmware::desk::{Desk, Identity};
-    use firmware::settings::{self, DEFAULTS};
+    use firmware::settings;
+    use firmware::store::Keep;
     use firmware::ticker::Ticker;
     use firmware::{Commands, Link, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
 
-    use crate::board::{self, Board, Clock, Encoder, Rest, SerialIn, SerialOut, Torque};
+    use crate::board::{self, Board, Clock, Encoder, Rest, SerialIn, SerialOut, Storage, Torque};
 
     /// Bytes from the host that the desk has not read yet.
     type Bytes = Queue<u8, BYTES>;
@@ -44,7 +45,7 @@ mod app {
         received: Producer<'static, u8, BYTES>,
         bytes: Consumer<'static, u8, BYTES>,
         serial_out: SerialOut,
-        desk: Desk<'static>,
+        desk: Desk<'static, Storage>,
     }
 
     #[init(local = [
@@ -55,11 +56,12 @@ mod app {
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let Board {
-            clock,
+            mut clock,
             mut encoder,
             torque,
             serial_in,
             serial_out,
+            mut storage,
             rest,
         } = board::set_up(cx.device);
         let link: &'static Link = cx.local.link;
@@ -73,17 +75,25 @@ mod app {
             counter_bits: Encoder::BITS,
         };
         // The defaults are tested natively to settle; a board that cannot run them must not run.
-        let Ok(settled) = settings::settle(&DEFAULTS, Encoder::BITS) else {
+        let Ok(start) = settings::start(&storage.load(), Encoder::BITS) else {
             panic!("the default parameters are refused");
         };
+        clock.set_period_s(start.parameters.sample_period_s);
         let ticker = Ticker::new(
-            &settled,
+            &start.settled,
             encoder.counter(),
             link,
             command_receiver,
             record_sender,
         );
-        let desk = Desk::new(identity, DEFAULTS, link, command_sender, record_receiver);
+        let desk = Desk::new(
+            identity,
+            &start,
+            storage,
+            link,
+            command_sender,
+            record_receiver,
+        );
         defmt::info!(
             "knob {=str} ({=str}) on {=str}",
             identity.firmware,

@@ -7,8 +7,9 @@ use control::ConfigError;
 use control::config::{Believed, Config, Interval, Law, Timing};
 use control::encoder::EncoderConfig;
 use control::plan::Plan;
-use protocol::{Name, Parameters, Refusal, Shape};
+use protocol::{Name, Parameters, Refusal, Shape, Stored};
 
+use crate::store::Loaded;
 use crate::ticker::Settled;
 
 /// The least that each numeric parameter may be.
@@ -57,7 +58,7 @@ pub const HIGHEST: Parameters = Parameters {
     torque_step_nm: 1.0,
 };
 
-/// What a device starts with: the paper's RE35 at 1 ms, no stiffness, and the law that takes no
+/// What a device starts with where nothing is stored: the paper's RE35 at 1 ms, no stiffness, and the law that takes no
 /// more trouble than the demand needs.
 pub const DEFAULTS: Parameters = Parameters {
     sample_period_s: 1e-3,
@@ -83,6 +84,42 @@ pub const DEFAULTS: Parameters = Parameters {
 
 const fn between(low: f32, high: f32) -> protocol::Interval {
     protocol::Interval { low, high }
+}
+
+/// What a device starts with, checked.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Start {
+    /// Where the parameters come from.
+    pub stored: Stored,
+    /// The parameters.
+    pub parameters: Parameters,
+    /// What the tick uses.
+    pub settled: Settled,
+}
+
+/// Checks what was stored; takes the defaults instead where it is not accepted.
+///
+/// # Errors
+/// Not even the defaults are accepted with a counter of `counter_bits` bits.
+pub fn start(loaded: &Loaded, counter_bits: u32) -> Result<Start, Refusal> {
+    let (stored, parameters, settled) = match settle(&loaded.parameters, counter_bits) {
+        Ok(settled) => (loaded.stored, loaded.parameters, settled),
+        Err(refusal) => {
+            let name = match refusal {
+                Refusal::Value { name, .. }
+                | Refusal::Reversed { name, .. }
+                | Refusal::Together { name, .. } => name,
+                other => return Err(other),
+            };
+            let settled = settle(&DEFAULTS, counter_bits)?;
+            (Stored::Refused { name }, DEFAULTS, settled)
+        }
+    };
+    Ok(Start {
+        stored,
+        parameters,
+        settled,
+    })
 }
 
 /// Checks parameters for a board whose encoder counter has `counter_bits` bits, and makes them

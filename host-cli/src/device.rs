@@ -23,6 +23,9 @@ use crate::stop::{self, Stopped};
 const HELLO_WITHIN: Duration = Duration::from_millis(1500);
 /// How long any other answer may take.
 const ANSWER_WITHIN: Duration = Duration::from_millis(2500);
+/// How long a save may take: two seconds for the slowest erase, and an answer to the request that was
+/// sent once more.
+const SAVED_WITHIN: Duration = Duration::from_millis(6000);
 /// How long the device may take to fall silent when a log ends, however it ends.
 const HUSH_WITHIN: Duration = Duration::from_millis(500);
 /// After so long without an answer the request is sent once more.
@@ -183,7 +186,11 @@ impl Device {
     }
 
     fn request(&mut self, request: Request) -> Result<Answered> {
-        self.exchange(request, ANSWER_WITHIN, CtrlC::Ends)
+        let within = match request {
+            Request::Save => SAVED_WITHIN,
+            _ => ANSWER_WITHIN,
+        };
+        self.exchange(request, within, CtrlC::Ends)
     }
 
     /// Sends a request and waits for its answer. After a silence it is sent once more under the

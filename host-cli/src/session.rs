@@ -18,10 +18,10 @@ pub struct ImageChoice {
 }
 
 impl ImageChoice {
-    /// Boots it against a plant.
-    pub fn boot(&self, plant: Plant) -> Result<Session> {
+    /// Boots it against a plant, with what a file keeps of its settings.
+    pub fn boot(&self, plant: Plant, settings: Option<&Path>) -> Result<Session> {
         let image = self.firmware.as_deref().unwrap_or(Path::new(IMAGE));
-        let emulator = Emulator::start(image, 3).context("--firmware")?;
+        let emulator = Emulator::start_with(image, 3, &[], settings).context("--firmware")?;
         Ok(Session {
             bench: Bench { emulator, plant },
             frames: Frames::new(),

@@ -1,6 +1,6 @@
 //! What a device says, in words.
 
-use protocol::{ClampReason, Fault, Name, Parameters, Refusal, State};
+use protocol::{ClampReason, Fault, Name, Parameters, Refusal, State, Stored};
 
 use crate::parameters::{short, value};
 
@@ -119,6 +119,46 @@ pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> S
         Refusal::NoStorage => {
             format!("this board ({board}) keeps no settings; set them anew after each start")
         }
+        Refusal::NotKept => "the device's flash could not be erased or written; \
+             what was saved before is kept"
+            .into(),
+    }
+}
+
+/// What is stored, in a word, as scripts see it.
+pub fn stored_code(stored: Stored) -> &'static str {
+    match stored {
+        Stored::NoStorage => "no-storage",
+        Stored::Nothing => "nothing",
+        Stored::Last => "last",
+        Stored::Older => "older",
+        Stored::Version { .. } => "version",
+        Stored::Damaged => "damaged",
+        Stored::Refused { .. } => "refused",
+    }
+}
+
+/// What is stored, in words, and what the device began with for it.
+pub fn stored(stored: Stored) -> String {
+    match stored {
+        Stored::NoStorage => "not kept by this board; it began with defaults".into(),
+        Stored::Nothing => "none were saved; it began with defaults".into(),
+        Stored::Last => "saved".into(),
+        Stored::Older => "the last save was cut short or is damaged; \
+             it began with the set saved before that"
+            .into(),
+        Stored::Version { found } => format!(
+            "saved by a firmware with other settings (version {found}); \
+             it began with defaults, and `knob save` replaces what was saved"
+        ),
+        Stored::Damaged => "what was saved is damaged; \
+             it began with defaults, and `knob save` replaces it"
+            .into(),
+        Stored::Refused { name } => format!(
+            "what was saved is not accepted by this firmware ({}); \
+             it began with defaults, and `knob save` replaces it",
+            name.as_str()
+        ),
     }
 }
 
@@ -180,8 +220,41 @@ mod tests {
                 &["a tick was not done", "knob clear"],
             ),
             (Refusal::NoStorage, &["some board", "keeps no settings"]),
+            (Refusal::NotKept, &["flash", "saved before is kept"]),
         ] {
             let said = refusal(&given, "some board", None);
+            for part in parts {
+                assert!(said.contains(part), "`{part}` is missing in: {said}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_stored_is_told_with_what_the_device_began_with() {
+        let name = Name::CentreRad;
+        for (given, code, parts) in [
+            (Stored::NoStorage, "no-storage", &["defaults"][..]),
+            (Stored::Nothing, "nothing", &["none", "defaults"]),
+            (Stored::Last, "last", &["saved"]),
+            (Stored::Older, "older", &["cut short", "before"]),
+            (
+                Stored::Version { found: 7 },
+                "version",
+                &["version 7", "defaults", "knob save"],
+            ),
+            (
+                Stored::Damaged,
+                "damaged",
+                &["damaged", "defaults", "knob save"],
+            ),
+            (
+                Stored::Refused { name },
+                "refused",
+                &["centre_rad", "defaults", "knob save"],
+            ),
+        ] {
+            assert_eq!(stored_code(given), code);
+            let said = stored(given);
             for part in parts {
                 assert!(said.contains(part), "`{part}` is missing in: {said}");
             }

@@ -7,10 +7,16 @@ use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use native::{Fate, Port, board, board_with};
-use protocol::{FRAME_MAX, Frames, FromDevice, Hello, Message, Refusal, ToDevice, decode, encode};
+use firmware::settings::DEFAULTS;
+use firmware::store::{Keep, Loaded, SaveError};
+use native::{Fate, Port, board, board_that_keeps, board_with};
+use protocol::{
+    FRAME_MAX, Frames, FromDevice, Hello, Message, Parameters, Refusal, Stored, ToDevice, decode,
+    encode,
+};
 use rustix::fs::{FlockOperation, Mode, OFlags, flock, open};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -99,6 +105,7 @@ fn info_says_who_the_device_is_and_how() {
     assert_eq!(info["fault"], Value::Null);
     assert_eq!(info["dropped"], 0);
     assert_eq!(info["bad_frames"], 0);
+    assert_eq!(info["settings"], "no-storage");
     let later = ask(&port, &["info"]);
     assert!(later["tick"].as_u64() > info["tick"].as_u64());
     let text = read(&port, &["info"]);
@@ -336,6 +343,90 @@ fn a_board_without_storage_says_so() {
         &["save"],
         1,
         &["nothing was saved", "native", "keeps no settings"],
+    );
+}
+
+/// Keeps settings in memory, as long as the test does.
+#[derive(Clone)]
+struct Memory(Arc<Mutex<Loaded>>);
+
+impl Memory {
+    fn with(stored: Stored) -> Self {
+        Self(Arc::new(Mutex::new(Loaded::defaults(stored))))
+    }
+}
+
+impl Keep for Memory {
+    fn load(&mut self) -> Loaded {
+        *self.0.lock().unwrap()
+    }
+
+    fn save(&mut self, parameters: &Parameters) -> Result<(), SaveError> {
+        let mut kept = self.0.lock().unwrap();
+        if parameters.decimation == 13 {
+            return Err(SaveError::ReadBack);
+        }
+        *kept = Loaded {
+            stored: Stored::Last,
+            parameters: *parameters,
+        };
+        Ok(())
+    }
+}
+
+#[test]
+fn what_is_saved_is_there_after_the_next_start() {
+    let memory = Memory::with(Stored::Nothing);
+    let (port, hand) = board_that_keeps(memory.clone());
+    let info = ask(&port, &["info"]);
+    assert_eq!(info["settings"], "nothing");
+    assert!(read(&port, &["info"]).contains("settings     none were saved"));
+    ask(&port, &["set", "law=episode", "sample_period_s=2e-3"]);
+    // Not while the motor may turn, nor before a fault is looked at.
+    ask(&port, &["arm"]);
+    let armed = ["nothing was saved", "is armed", "knob disarm"];
+    refused(&port, &["save"], 1, &armed);
+    hand.jump.store(99_999, Relaxed);
+    while ask(&port, &["info"])["state"] != "fault" {}
+    refused(&port, &["save"], 1, &["nothing was saved", "knob clear"]);
+    ask(&port, &["clear"]);
+    assert_eq!(ask(&port, &["info"])["settings"], "nothing");
+    assert_eq!(ask(&port, &["save"])["state"], "disarmed");
+    assert_eq!(ask(&port, &["info"])["settings"], "last");
+    let shown = read(&port, &["get"]);
+    drop(port);
+
+    let (port, _) = board_that_keeps(memory);
+    assert_eq!(ask(&port, &["info"])["settings"], "last");
+    assert_eq!(read(&port, &["get"]), shown);
+    assert!(shown.contains("law=episode") && shown.contains("sample_period_s=0.002"));
+    // A save that fails is told, and what was saved is still there.
+    ask(&port, &["set", "decimation=13"]);
+    refused(&port, &["save"], 1, &["nothing was saved", "flash"]);
+}
+
+#[test]
+fn defaults_for_want_of_good_settings_are_told() {
+    for (stored, code, part) in [
+        (Stored::Damaged, "damaged", "damaged"),
+        (Stored::Version { found: 9 }, "version", "version 9"),
+    ] {
+        let (port, _) = board_that_keeps(Memory::with(stored));
+        let info = ask(&port, &["info"]);
+        assert_eq!(info["settings"], code);
+        let text = info["settings_text"].as_str().unwrap();
+        assert!(text.contains(part) && text.contains("defaults"), "{text}");
+    }
+    let memory = Memory::with(Stored::Last);
+    memory.0.lock().unwrap().parameters.torque_max_nm = 1e9;
+    let (port, _) = board_that_keeps(memory);
+    let info = ask(&port, &["info"]);
+    assert_eq!(info["settings"], "refused");
+    let text = info["settings_text"].as_str().unwrap();
+    assert!(text.contains("torque_max_nm"), "{text}");
+    assert_eq!(
+        ask(&port, &["get"])["torque_max_nm"],
+        DEFAULTS.torque_max_nm
     );
 }
 

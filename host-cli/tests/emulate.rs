@@ -136,6 +136,58 @@ fn the_emulated_knob_is_set_armed_logged_and_left() {
 }
 
 #[test]
+fn what_the_emulated_knob_saves_is_there_when_it_starts_again() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (link, settings) = (at("port"), at("settings"));
+    let ask = |args: &[&str]| json(&[args, &["--port", &link, "--json"]].concat());
+    let start = || Emulated::start(&["--port-link", &link, "--settings", &settings]);
+
+    let emulated = start();
+    assert_eq!(ask(&["info"])["settings"], "nothing");
+    ask(&["set", "law=episode", "sample_period_s=2e-3"]);
+    ask(&["save"]);
+    assert_eq!(ask(&["info"])["settings"], "last");
+    let kept = ask(&["get"]);
+    assert_eq!(emulated.interrupt(), Some(130));
+
+    let emulated = start();
+    assert_eq!(ask(&["info"])["settings"], "last");
+    assert_eq!(ask(&["get"]), kept);
+    assert_eq!(kept["sample_period_s"], 2e-3);
+    // A sector is full after some saves, and the other takes over.
+    for wall in 0..20 {
+        ask(&["set", &format!("wall_rad={wall}")]);
+        ask(&["save"]);
+    }
+    assert_eq!(emulated.interrupt(), Some(130));
+
+    let emulated = start();
+    assert_eq!(ask(&["get"])["wall_rad"], 19.0);
+    assert_eq!(emulated.interrupt(), Some(130));
+
+    // Damage.
+    let mut bytes = fs::read(&settings).unwrap();
+    bytes.fill(0xA5);
+    fs::write(&settings, bytes).unwrap();
+    let emulated = start();
+    assert_eq!(ask(&["info"])["settings"], "damaged");
+    assert_eq!(ask(&["get"])["sample_period_s"], 1e-3);
+    ask(&["save"]);
+    assert_eq!(ask(&["info"])["settings"], "last");
+    assert_eq!(emulated.interrupt(), Some(130));
+
+    fs::write(&settings, "text").unwrap();
+    let refused = run(&["emulate", "--settings", &settings]);
+    assert_eq!(refused.status.code(), Some(1));
+    let said = String::from_utf8_lossy(&refused.stderr);
+    for part in ["--settings", "4 bytes", "8192"] {
+        assert!(said.contains(part), "{said}");
+    }
+    assert_eq!(fs::read_to_string(&settings).unwrap(), "text");
+}
+
+#[test]
 fn a_scene_makes_the_plant() {
     let folder = TempDir::new().unwrap();
     let record = folder.path().join("record.csv");

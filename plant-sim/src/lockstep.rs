@@ -7,7 +7,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{OpenOptionsExt, symlink};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -99,6 +99,9 @@ pub struct ChipReport {
     pub period_s: f32,
 }
 
+/// Bytes of the file that keeps the emulated board's settings.
+pub const SETTINGS_BYTES: usize = 8192;
+
 /// A firmware image running in QEMU. Ends with it.
 pub struct Emulator {
     child: Child,
@@ -122,10 +125,11 @@ impl Emulator {
     /// # Errors
     /// See [`LockstepError`].
     pub fn start(image: &Path, shift: u32) -> Result<Self, LockstepError> {
-        Self::start_with(image, shift, &[])
+        Self::start_with(image, shift, &[], None)
     }
 
-    /// As [`Emulator::start`], with further arguments for QEMU.
+    /// As [`Emulator::start`], with further arguments for QEMU, and with a file of [`SETTINGS_BYTES`] bytes in
+    /// the place of the flash that keeps settings, all of them 0xFF as long as none were saved.
     ///
     /// # Errors
     /// See [`LockstepError`].
@@ -133,6 +137,7 @@ impl Emulator {
         image: &Path,
         shift: u32,
         arguments: &[String],
+        settings: Option<&Path>,
     ) -> Result<Self, LockstepError> {
         let image = image.canonicalize().map_err(|error| LockstepError::Image {
             path: image.display().to_string(),
@@ -147,6 +152,9 @@ impl Emulator {
             let mode = Mode::RUSR | Mode::WUSR;
             mknodat(CWD, folder.path().join(name), FileType::Fifo, mode, 0)
                 .map_err(io::Error::from)?;
+        }
+        if let Some(settings) = settings {
+            symlink(settings.canonicalize()?, folder.path().join("settings"))?;
         }
         let open = |name: &str, write: bool| {
             OpenOptions::new()

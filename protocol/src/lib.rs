@@ -15,9 +15,9 @@ mod parameters;
 pub use frame::{FRAME_MAX, FrameError, Frames, decode, encode};
 pub use message::{
     ClampReason, Event, Fault, Fields, FromDevice, Hello, Message, Refusal, Request, State, Status,
-    Subscription, Telemetry, ToDevice,
+    Stored, Subscription, Telemetry, ToDevice,
 };
 pub use parameters::{Changes, Interval, Law, Name, Parameters, Shape};
 
 /// The version of the protocol; the first message of a host names its own.
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;

@@ -30,7 +30,8 @@ pub enum Request {
     Disarm,
     /// Leave the fault state, disarmed.
     Clear,
-    /// Keep the parameters for the next start.
+    /// Keep the parameters for the next start. Only while disarmed: the device may stand still for some
+    /// seconds until it answers, tick and all.
     Save,
     /// What to send unasked; replaces what was subscribed to before.
     Subscribe(Subscription),
@@ -141,6 +142,34 @@ pub struct Status {
     pub dropped: u32,
     /// Frames that could not be read since the start.
     pub bad_frames: u32,
+    /// What became of the last save.
+    pub stored: Stored,
+}
+
+/// What a device found kept when it started, and so which parameters it began with; [`Self::Last`] after
+/// a save.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Stored {
+    /// This board keeps no settings; it began with defaults.
+    NoStorage,
+    /// Nothing was ever saved; it began with defaults.
+    Nothing,
+    /// The last set that was saved.
+    Last,
+    /// The last save was cut short or is damaged; it began with the set before.
+    Older,
+    /// What was saved is of another version of the settings; it began with defaults.
+    Version {
+        /// Which.
+        found: u16,
+    },
+    /// What was saved is damaged; it began with defaults.
+    Damaged,
+    /// What was saved can be read, but this firmware does not accept it; it began with defaults.
+    Refused {
+        /// The parameter that shows it.
+        name: Name,
+    },
 }
 
 /// Whether a device gives torque.
@@ -214,6 +243,8 @@ pub enum Refusal {
     State(State),
     /// This board keeps no settings.
     NoStorage,
+    /// The storage failed; what was saved before is kept.
+    NotKept,
 }
 
 /// One tick, as subscribed; what was not asked for is None.

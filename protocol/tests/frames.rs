@@ -3,8 +3,8 @@
 use proptest::prelude::*;
 use protocol::{
     Changes, ClampReason, Event, FRAME_MAX, Fault, Fields, FrameError, Frames, FromDevice, Hello,
-    Interval, Law, Message, Name, Parameters, Refusal, Request, Shape, State, Status, Subscription,
-    Telemetry, ToDevice, VERSION, decode, encode,
+    Interval, Law, Message, Name, Parameters, Refusal, Request, Shape, State, Status, Stored,
+    Subscription, Telemetry, ToDevice, VERSION, decode, encode,
 };
 
 /// The page that describes the wire; its golden frames are those tested here.
@@ -106,6 +106,7 @@ fn messages() -> Vec<(&'static str, Message<'static>)> {
                 state: State::Fault(Fault::EncoderJump { counts: -2000 }),
                 dropped: 2,
                 bad_frames: 1,
+                stored: Stored::Version { found: 300 },
             }),
         ),
         (

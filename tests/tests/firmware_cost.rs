@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use acceptance::{Rig, request_frame};
 use object::{Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind};
-use plant_sim::lockstep::{Bench, Emulator, Order, Plant};
+use plant_sim::lockstep::{Bench, Emulator, Order, Plant, SETTINGS_BYTES};
 use plant_sim::preset::preset;
 use protocol::{Changes, Fields, Law, Request, Shape, Subscription};
 
@@ -179,13 +179,19 @@ fn everything(law: Law) -> Changes {
 
 /// A bench that renders, thrown at 3 rad/s.
 fn bench(shift: u32, arguments: &[String], changes: Changes) -> Bench {
-    bench_of(&Rig::image(), shift, arguments, changes)
+    bench_of(&Rig::image(), shift, arguments, None, changes)
 }
 
-fn bench_of(image: &Path, shift: u32, arguments: &[String], changes: Changes) -> Bench {
+fn bench_of(
+    image: &Path,
+    shift: u32,
+    arguments: &[String],
+    settings: Option<&Path>,
+    changes: Changes,
+) -> Bench {
     let device = preset("re35").unwrap().device;
     let mut bench = Bench {
-        emulator: Emulator::start_with(image, shift, arguments).unwrap(),
+        emulator: Emulator::start_with(image, shift, arguments, settings).unwrap(),
         plant: Plant::new(device, 8192.0, 0.0).unwrap(),
     };
     for request in [Request::Set(changes), Request::Arm] {
@@ -214,7 +220,7 @@ fn instructions(path: &Path, changes: Changes) -> usize {
     let mut arguments = trace.to_vec();
     arguments.push(ranges.join(","));
     arguments.extend(["-D".into(), log.display().to_string()]);
-    let mut bench = bench_of(path, 0, &arguments, changes);
+    let mut bench = bench_of(path, 0, &arguments, None, changes);
     for _ in 0..300 {
         bench.tick().unwrap();
     }
@@ -269,7 +275,16 @@ fn measure() -> BTreeMap<&'static str, u64> {
         figures.insert(name, costs.max().unwrap());
     }
     // Everything at once, for the deepest stack.
-    let mut busy = bench(3, &[], everything(Law::Auto));
+    let folder = tempfile::tempdir().unwrap();
+    let settings = folder.path().join("settings");
+    fs::write(&settings, [0xFF; SETTINGS_BYTES]).unwrap();
+    let mut busy = bench_of(
+        &Rig::image(),
+        3,
+        &[],
+        Some(&settings),
+        everything(Law::Auto),
+    );
     let all = Subscription {
         every_ticks: 1,
         fields: Fields::ALL,
@@ -283,12 +298,15 @@ fn measure() -> BTreeMap<&'static str, u64> {
         Request::Set(spring(Law::Raw)),
         Request::Set(everything(Law::Ledger)),
         Request::Get,
+        Request::Disarm,
+        Request::Save,
     ] {
         busy.emulator.send(&request_frame(2, request)).unwrap();
         for _ in 0..50 {
             busy.tick().unwrap();
         }
     }
+    assert_ne!(fs::read(&settings).unwrap(), [0xFF; SETTINGS_BYTES]);
     let stack = busy.emulator.exchange(Order::Stack, 0).unwrap().cost;
     figures.insert("stack_bytes", u64::from(stack));
     figures

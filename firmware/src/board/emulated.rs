@@ -12,9 +12,13 @@
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 
 use defmt_semihosting as _;
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+};
 use firmware::board::{AngleCounter, SerialOutput, TickClock, TorqueOutput};
+use firmware::store::{SLOT, Store};
 use semihosting::fs::File;
-use semihosting::io::{Read, Write};
+use semihosting::io::{Read, Seek, SeekFrom, Write};
 use semihosting::process;
 use stm32f4xx_hal::pac::{self, Interrupt, NVIC};
 
@@ -40,8 +44,74 @@ pub struct Board {
     pub serial_in: SerialIn,
     /// Bytes to the host.
     pub serial_out: SerialOut,
+    /// What keeps settings.
+    pub storage: Storage,
     /// What `idle` does.
     pub rest: Rest,
+}
+
+/// QEMU's flash answers Ok to erase and program, and stores nothing. A file takes its place; without one the
+/// board keeps no settings.
+pub type Storage = Option<Store<SettingsFile>>;
+
+/// The file `settings` in QEMU's working directory, as two small sectors of flash.
+pub struct SettingsFile(File);
+
+/// The file could not be read or written.
+#[derive(Debug)]
+pub struct FileError;
+
+impl NorFlashError for FileError {
+    fn kind(&self) -> NorFlashErrorKind {
+        NorFlashErrorKind::Other
+    }
+}
+
+impl SettingsFile {
+    fn open() -> Option<Self> {
+        let file = File::options().read(true).write(true).open(c"settings");
+        file.ok().map(Self)
+    }
+
+    fn at(&mut self, offset: u32) -> Result<&mut File, FileError> {
+        let place = SeekFrom::Start(u64::from(offset));
+        self.0.seek(place).map_err(|_| FileError)?;
+        Ok(&mut self.0)
+    }
+}
+
+impl ErrorType for SettingsFile {
+    type Error = FileError;
+}
+
+impl ReadNorFlash for SettingsFile {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FileError> {
+        let file = self.at(offset)?;
+        file.read_exact(bytes).map_err(|_| FileError)
+    }
+
+    fn capacity(&self) -> usize {
+        2 * Self::ERASE_SIZE
+    }
+}
+
+impl NorFlash for SettingsFile {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = 4096;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), FileError> {
+        for offset in (from..to).step_by(SLOT) {
+            self.write(offset, &[0xFF; SLOT])?;
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FileError> {
+        let file = self.at(offset)?;
+        file.write_all(bytes).map_err(|_| FileError)
+    }
 }
 
 /// The word that the plant's count was put in.
@@ -126,16 +196,13 @@ pub fn set_up(device: pac::Peripherals) -> Board {
             .set_bit()
     });
     device.TIM5.cr1().write(|w| w.cen().set_bit());
-    PERIOD.store(
-        firmware::settings::DEFAULTS.sample_period_s.to_bits(),
-        Relaxed,
-    );
     Board {
         clock: Clock(()),
         encoder: Encoder(()),
         torque: Torque(()),
         serial_in: SerialIn(()),
         serial_out: SerialOut(device.USART1),
+        storage: SettingsFile::open().map(|file| Store::new(file, 0)),
         rest: Rest::open(),
     }
 }

@@ -75,7 +75,7 @@ pub fn run(args: &Args) -> Result<()> {
     let motor = &PRESETS[0];
     let mut session = args
         .image
-        .boot(Plant::new(motor.device, motor.counts_per_rev, 0.0)?)?;
+        .boot(Plant::new(motor.device, motor.counts_per_rev, 0.0)?, None)?;
     let mut story = Story {
         session: &mut session,
         motor,

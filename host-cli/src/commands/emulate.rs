@@ -1,7 +1,7 @@
 //! `knob emulate`: the firmware in the emulator, in lockstep with the exact plant, on a serial port.
 
 use std::collections::VecDeque;
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use plant_sim::drive::Drive;
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
-use plant_sim::lockstep::Plant;
+use plant_sim::lockstep::{Plant, SETTINGS_BYTES};
 use plant_sim::motor::Motor;
 use plant_sim::preset::PRESETS;
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl};
@@ -42,6 +42,9 @@ pub struct Args {
     /// A symbolic link to the port, removed at the end
     #[arg(long, value_name = "PATH")]
     port_link: Option<PathBuf>,
+    /// Where `knob save` keeps the settings; made if it does not exist. Without it nothing is kept
+    #[arg(long, value_name = "FILE")]
+    settings: Option<PathBuf>,
     /// Write every tick as CSV at the end: time, angle, velocity, counter, torque
     #[arg(long, value_name = "OUT.csv")]
     record: Option<PathBuf>,
@@ -68,6 +71,9 @@ pub fn run(args: &Args) -> Result<()> {
         Some(path) => Some(Output::prepare("--record", path, args.force)?),
         None => None,
     };
+    if let Some(path) = &args.settings {
+        settings_file(path).with_context(|| format!("--settings: {}", path.display()))?;
+    }
     let (plant, start) = match &args.scene {
         Some(path) => {
             let scene = scene::load(path)?.scene;
@@ -95,7 +101,7 @@ pub fn run(args: &Args) -> Result<()> {
             (Plant::new(known.device, known.counts_per_rev, 0.0)?, rest)
         }
     };
-    let mut session = args.image.boot(plant)?;
+    let mut session = args.image.boot(plant, args.settings.as_deref())?;
     session.bench.plant.let_go(start.velocity);
     let mut port = Port::open(args.port_link.as_deref())?;
     if args.json {
@@ -118,6 +124,22 @@ pub fn run(args: &Args) -> Result<()> {
     serve(&mut session, &mut port, args.pace, stop::requested, rows)?;
     publish_after_stop(record.into_iter().collect())?;
     Err(Ended.into())
+}
+
+/// Makes sure of the file that takes the place of the chip's flash; a new one is blank.
+fn settings_file(path: &Path) -> Result<()> {
+    match fs::read(path) {
+        Ok(bytes) if bytes.len() == SETTINGS_BYTES => Ok(()),
+        Ok(bytes) => bail!(
+            "it is {} bytes long; accepted: a file of {SETTINGS_BYTES} bytes that `knob emulate` made, \
+             or one that does not exist",
+            bytes.len()
+        ),
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            Ok(fs::write(path, [0xFF; SETTINGS_BYTES])?)
+        }
+        Err(error) => Err(error.into()),
+    }
 }
 
 /// Ticks, and carries bytes between the port and the firmware, until it is told to end. `record` sees
@@ -186,7 +208,7 @@ impl Port {
         if let Some(link) = link {
             // A link that an earlier run left behind is replaced; anything else is not.
             if link.is_symlink() {
-                std::fs::remove_file(link)
+                fs::remove_file(link)
                     .with_context(|| format!("--port-link: {}", link.display()))?;
             }
             std::os::unix::fs::symlink(&path, link)
@@ -245,7 +267,7 @@ const MOST_WAITING: usize = 1 << 17;
 impl Drop for Port {
     fn drop(&mut self) {
         if let Some(link) = &self.link {
-            let _ = std::fs::remove_file(link);
+            let _ = fs::remove_file(link);
         }
     }
 }

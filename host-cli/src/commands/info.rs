@@ -8,7 +8,8 @@ use crate::output::say_line;
 use crate::ports::Connection;
 use crate::words;
 
-/// Show who the device is and how: firmware, board, state, and why it is in fault if it is.
+/// Show who the device is and how: firmware, board, state and why it is in fault if it is, and what
+/// became of the saved settings.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  knob info --port /dev/ttyACM0")]
 pub struct Args {
@@ -29,6 +30,8 @@ struct Json<'a> {
     tick: u32,
     dropped: u32,
     bad_frames: u32,
+    settings: &'a str,
+    settings_text: String,
 }
 
 pub fn run(args: &Args) -> Result<()> {
@@ -51,6 +54,8 @@ pub fn run(args: &Args) -> Result<()> {
             tick: status.tick,
             dropped: status.dropped,
             bad_frames: status.bad_frames,
+            settings: words::stored_code(status.stored),
+            settings_text: words::stored(status.stored),
         };
         say_line!("{}", serde_json::to_string(&json)?);
         return Ok(());
@@ -64,6 +69,7 @@ pub fn run(args: &Args) -> Result<()> {
         identity.version
     );
     say_line!("state        {}", words::state_in_full(status.state));
+    say_line!("settings     {}", words::stored(status.stored));
     say_line!("tick         {}", status.tick);
     say_line!(
         "lost         {} messages found no room, {} frames could not be read",

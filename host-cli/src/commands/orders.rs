@@ -61,6 +61,10 @@ pub fn run(args: &Args, order: Order) -> Result<()> {
             "nothing to clear: the device is {}, not in fault",
             words::state(state)
         ),
+        Outcome::Refused(Refusal::State(State::Armed)) if order == Order::Save => bail!(
+            "nothing was saved: the device is armed, and it may stand still for two seconds while it \
+             saves; `knob disarm` first"
+        ),
         Outcome::Refused(refusal) => bail!(
             "{}: {}",
             order.failed(),

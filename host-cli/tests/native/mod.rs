@@ -9,7 +9,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use firmware::desk::{Desk, Identity};
-use firmware::settings::{self, DEFAULTS};
+use firmware::settings;
+use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
 use firmware::{Commands, Link, Records};
 use protocol::{FromDevice, Message, decode};
@@ -106,9 +107,19 @@ pub fn board() -> (Port, Arc<Hand>) {
     board_with(|_| Fate::Arrives)
 }
 
+/// A device that keeps settings, and starts with what is kept.
+pub fn board_that_keeps(store: impl Keep + Send + 'static) -> (Port, Arc<Hand>) {
+    board_on(|_| Fate::Arrives, store)
+}
+
 /// A device on a line that does something to its frames.
-pub fn board_with(
+pub fn board_with(line: impl FnMut(&FromDevice<'_>) -> Fate + Send + 'static) -> (Port, Arc<Hand>) {
+    board_on(line, NoStore)
+}
+
+fn board_on(
     mut line: impl FnMut(&FromDevice<'_>) -> Fate + Send + 'static,
+    mut store: impl Keep + Send + 'static,
 ) -> (Port, Arc<Hand>) {
     let hand = Arc::new(Hand::default());
     let held = Arc::clone(&hand);
@@ -116,18 +127,25 @@ pub fn board_with(
     let link: &'static Link = Box::leak(Box::new(Link::new()));
     let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
     let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
-    let settled = settings::settle(&DEFAULTS, 32).unwrap();
+    let start = settings::start(&store.load(), 32).unwrap();
     let identity = Identity {
         firmware: "1.2.3",
         git_hash: "abc1234",
         board: "native",
         counter_bits: 32,
     };
-    let mut ticker = Ticker::new(&settled, 0, link, command_receiver, record_sender);
-    let mut desk = Desk::new(identity, DEFAULTS, link, command_sender, record_receiver);
+    let mut ticker = Ticker::new(&start.settled, 0, link, command_receiver, record_sender);
+    let mut desk = Desk::new(
+        identity,
+        &start,
+        store,
+        link,
+        command_sender,
+        record_receiver,
+    );
     let mut inbox = VecDeque::new();
     let mut counter = 0_i32;
-    let mut period_s = DEFAULTS.sample_period_s;
+    let mut period_s = start.parameters.sample_period_s;
     let port = Port::new(move |incoming, outgoing| {
         inbox.extend(incoming);
         counter = counter.wrapping_add(held.speed.load(Relaxed) + held.jump.swap(0, Relaxed));
