@@ -7,6 +7,7 @@ pub mod demo;
 pub mod emulate;
 pub mod figures;
 pub mod get;
+pub mod identify;
 pub mod info;
 pub mod log;
 pub mod map;

@@ -3,7 +3,7 @@
 use control::criterion::Device;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::storage::Owned;
-use nalgebra::{DMatrix, DVector, Dyn, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Dyn};
 
 use super::recording::Push;
 use crate::hold::{Hold, State};
@@ -82,59 +82,28 @@ impl Model<'_> {
         self.pushes.iter().zip(angles).map(beyond).collect()
     }
 
-    /// A model whose θ = 0, b aside, is near, from the equation of motion integrated twice over each
-    /// push from rest: m x + b ∫x dt + c s t²/2 = ∬F, s the direction. No count is differentiated.
+    /// A model whose θ = 0, b aside, is near, from the lowest push: with d₁ travelled under the torque
+    /// F for a time t, and d₂ without it, c ≈ F·d₁/(d₁ + d₂) and m ≈ (F − c)·t²/2d₁.
     pub fn near(pushes: &[Push], period_s: f64, count_rad: f64) -> Option<(Model<'_>, Theta)> {
-        let (mut normal, mut right) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
-        let mut fastest = 0.0_f64;
-        for push in pushes {
-            let far = push.furthest();
-            if far.abs() < f64::from(super::recording::LEAST_COUNTS) {
-                continue;
-            }
-            let start = push.torques.iter().position(|&torque| torque != 0.0)?;
-            let last = push.counts.iter().rposition(|&count| count != far)? + 1;
-            let sign = far.signum();
-            let (mut impulse, mut twice, mut area) = (0.0, 0.0, 0.0);
-            let samples = push.counts.iter().zip(&push.torques).enumerate();
-            let width = 8;
-            for (place, (count, torque)) in samples.take(last).skip(start) {
-                let t = (place - start) as f64 * period_s;
-                let angle = (count + 0.5 * sign * f64::from(*count != 0.0)) * count_rad;
-                let row = Vector3::new(angle, area, sign * t * t / 2.0);
-                // The further, the less a count matters.
-                let weight = 1.0 / (far * count_rad).powi(2) / (last - start) as f64;
-                normal += row * row.transpose() * weight;
-                right += row * twice * weight;
-                area += angle * period_s;
-                twice += (impulse + 0.5 * torque * period_s) * period_s;
-                impulse += torque * period_s;
-                if let Some(before) = place.checked_sub(width).and_then(|at| push.counts.get(at)) {
-                    fastest =
-                        fastest.max((count - before).abs() * count_rad / (width as f64 * period_s));
-                }
-            }
-        }
-        let scale = Vector3::from_fn(|row, _| 1.0 / normal[(row, row)].sqrt());
-        let scaled = Matrix3::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
-        let good = |m: f64, c: f64| m > 0.0 && c > 0.0 && m.is_finite() && c.is_finite();
-        let solved = scaled
-            .try_inverse()
-            .map(|inverse| inverse * right.component_mul(&scale))
-            .map(|solved| solved.component_mul(&scale));
-        let (m, b, c) = match solved {
-            Some(it) if good(it[0], it[2]) && it[1] >= 0.0 => (it[0], it[1], it[2]),
-            // Without viscous friction.
-            _ => {
-                let det = normal[(0, 0)] * normal[(2, 2)] - normal[(0, 2)].powi(2);
-                let m = (right[0] * normal[(2, 2)] - right[2] * normal[(0, 2)]) / det;
-                let c = (right[2] * normal[(0, 0)] - right[0] * normal[(0, 2)]) / det;
-                good(m, c).then_some((m, 0.0, c))?
-            }
-        };
+        let moving = || pushes.iter().filter(|push| push.moves());
+        let lowest = moving().min_by(|a, b| a.height_nm().abs().total_cmp(&b.height_nm().abs()))?;
+        let pushed = lowest.torques.iter().position(|&torque| torque != 0.0)?;
+        let released = 1 + lowest.torques.iter().rposition(|&torque| torque != 0.0)?;
+        let way = lowest.counts.get(released)?.abs().max(1.0);
+        let whole = lowest.counts.last()?.abs().max(way + 1.0);
+        let height = lowest.height_nm().abs();
+        // A knob that does not coast, or comes back, has some friction and inertia to begin with.
+        let c = height * way / whole.max(1.05 * way);
+        let time_s = (released - pushed) as f64 * period_s;
+        let m = (height - c) * time_s * time_s / (2.0 * way * count_rad);
+        let longest = moving()
+            .map(|push| push.furthest().abs())
+            .fold(0.0, f64::max);
+        // As fast as a coast-down of half the way begins.
+        let fastest = (longest * count_rad * c / m).sqrt();
         let unit = Device {
             inertia_kg_m2: m,
-            viscous_nm_s_rad: c / fastest.max(f64::MIN_POSITIVE),
+            viscous_nm_s_rad: c / fastest,
             coulomb_nm: c,
         };
         let model = Model {
@@ -143,8 +112,7 @@ impl Model<'_> {
             count_rad,
             unit,
         };
-        let theta = [0.0, (b / unit.viscous_nm_s_rad).clamp(1e-3, 10.0), 0.0];
-        Some((model, theta))
+        Some((model, [0.0, 0.1, 0.0]))
     }
 
     /// The least squares of angle against count, each push from its own best start.
@@ -163,7 +131,7 @@ impl Model<'_> {
             parameters: DVector::from_vec(parameters),
         };
         let (fit, _) = LevenbergMarquardt::new()
-            .with_patience(20)
+            .with_patience(10)
             .minimize(problem);
         fit.theta()
     }

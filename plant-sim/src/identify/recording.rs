@@ -30,10 +30,10 @@ pub struct Recording {
 pub const REST_S: f64 = 0.1;
 
 /// A motion of fewer counts tells nothing.
-pub(super) const LEAST_COUNTS: i32 = 20;
+const LEAST_COUNTS: i32 = 20;
 
 /// Steps of torque count as different in height from this ratio on.
-pub(super) const LEAST_RATIO: f64 = 1.2;
+const LEAST_RATIO: f64 = 1.2;
 
 /// A torque below this share of the largest is none.
 const NO_TORQUE: f64 = 1e-6;
@@ -54,6 +54,11 @@ impl Push {
     pub fn furthest(&self) -> f64 {
         let further = |far: f64, &count: &f64| if count.abs() > far.abs() { count } else { far };
         self.counts.iter().fold(0.0, further)
+    }
+
+    /// Whether it goes far enough to tell something.
+    pub fn moves(&self) -> bool {
+        self.furthest().abs() >= f64::from(LEAST_COUNTS)
     }
 
     /// The largest torque, Nm, with its sign.
@@ -237,10 +242,7 @@ impl Recording {
         if against > along {
             return Err(Refusal::Reversed { against, along });
         }
-        let moving: Vec<&Push> = pushes
-            .iter()
-            .filter(|push| push.furthest().abs() >= least)
-            .collect();
+        let moving: Vec<&Push> = pushes.iter().filter(|push| push.moves()).collect();
         for (sign, missing) in [(1.0, "counts upwards"), (-1.0, "counts downwards")] {
             let those = || moving.iter().filter(|push| push.furthest() * sign > 0.0);
             if those().next().is_none() {

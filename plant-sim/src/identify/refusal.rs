@@ -33,7 +33,7 @@ pub enum Refusal {
     },
     /// Stuck, or a motor without torque.
     #[error(
-        "the knob never moved: {counts} counts under up to {torque_nm} Nm; accepted: {least} counts or more. Is it stuck or held, the motor or the encoder unplugged, or friction above the torque limit?"
+        "the knob never moved: {counts} counts under up to {torque_nm:.3} Nm; accepted: {least} counts or more. Is it stuck or held, the motor or the encoder unplugged, or friction above the torque limit?"
     )]
     NeverMoved {
         /// From the least to the most count.
@@ -50,7 +50,7 @@ pub enum Refusal {
     StartsInMotion,
     /// Cut off, or a knob that never stops.
     #[error(
-        "the recording ends after {time_s} s in motion or under torque: it was cut off, or the knob never came to rest; accepted: one that ends with 0.1 s at rest without torque"
+        "the recording ends after {time_s:.3} s in motion or under torque: it was cut off, or the knob never came to rest; accepted: one that ends with 0.1 s at rest without torque"
     )]
     EndsInMotion {
         /// Its length, s.
@@ -58,7 +58,7 @@ pub enum Refusal {
     },
     /// A hand.
     #[error(
-        "the knob left its rest at {time_s} s without torque: something else moved it; keep hands off the knob"
+        "the knob left its rest at {time_s:.3} s without torque: something else moved it; keep hands off the knob"
     )]
     MovedWithoutTorque {
         /// When, s.
@@ -90,7 +90,7 @@ pub enum Refusal {
     },
     /// A torque that is limited cannot be told from a heavier knob.
     #[error(
-        "all pushes are of one height, {least_nm} to {most_nm} Nm; accepted: steps of several heights, the highest 1.2 times the lowest or more"
+        "all pushes are of one height, {least_nm:.2e} to {most_nm:.2e} Nm; accepted: steps of several heights, the highest 1.2 times the lowest or more"
     )]
     OneHeight {
         /// The lowest, Nm.
@@ -100,7 +100,7 @@ pub enum Refusal {
     },
     /// Counts jump.
     #[error(
-        "the count jumps by {jump} at {time_s} s as no motion can: the encoder slips or loses counts"
+        "the count jumps by {jump:.0} at {time_s:.3} s as no motion can: the encoder slips or loses counts"
     )]
     Slips {
         /// Counts beyond the motion there.
@@ -110,7 +110,7 @@ pub enum Refusal {
     },
     /// Torque that nobody commanded.
     #[error(
-        "the knob moves as under a constant torque of {torque_nm} Nm beside the commanded one: a hand pushes it, its weight is out of balance, or the torque has an offset"
+        "the knob moves as under a constant torque of {torque_nm:.2e} Nm beside the commanded one: a hand pushes it, its weight is out of balance, or the torque has an offset"
     )]
     Pushed {
         /// That torque, Nm.
@@ -118,7 +118,7 @@ pub enum Refusal {
     },
     /// Torque that was commanded but not given.
     #[error(
-        "the motor gives about {limit_nm} Nm where {commanded_nm} Nm are commanded: its torque saturates; accepted: a recording with a lower torque limit"
+        "the motor gives about {limit_nm:.2e} Nm where {commanded_nm:.2e} Nm are commanded: its torque saturates; accepted: a recording with a lower torque limit"
     )]
     Saturates {
         /// What it gives at most, Nm.
@@ -128,7 +128,7 @@ pub enum Refusal {
     },
     /// Something else than inertia and friction moves it.
     #[error(
-        "no inertia, viscous and Coulomb friction explain the counts: the best miss by {misfit_counts:.1} counts, most near {time_s:.3} s; accepted: {accepted_counts} or less. Something else acts: a hand on the knob, cogging, a slipping coupling, a delay, or a torque that is not as commanded"
+        "no inertia, viscous and Coulomb friction explain the counts: the best miss by {misfit_counts:.1} counts, most near {time_s:.3} s; accepted: {accepted_counts:.1} or less. Something else acts: a hand on the knob, cogging, a slipping coupling, a delay, or a torque that is not as commanded"
     )]
     Unexplained {
         /// By how much beyond its own count, in counts.
@@ -140,7 +140,7 @@ pub enum Refusal {
     },
     /// All of it fits, and says next to nothing.
     #[error(
-        "the recording leaves {name} between {low} and {high}; accepted: within a factor of 2. Push further, faster, or record with a finer encoder"
+        "the recording leaves {name} between {low:.2e} and {high:.2e}; accepted: within a factor of 2. Push further, faster, or record with a finer encoder"
     )]
     Vague {
         /// What, with its unit.
