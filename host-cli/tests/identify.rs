@@ -1,4 +1,8 @@
 //! `knob identify` as a user and a script meet it.
+#![cfg(target_os = "linux")]
+
+#[allow(dead_code, reason = "shared with tests that use more of it")]
+mod native;
 
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -296,6 +300,47 @@ fn sabotaged_scenes_are_refused_with_their_reason() {
     );
 }
 
+/// The device takes what was found, and the file of the same run holds the same.
+#[test]
+fn apply_sets_it_on_the_device() {
+    let (port, _) = native::board();
+    let folder = TempDir::new().unwrap();
+    let scene = SCENE.replacen("coulomb_nm = 2e-3", "coulomb_nm = 3e-3", 1);
+    let scene = file(folder.path(), "scene.toml", &scene);
+    let found = json(&["--scene", &scene, "--apply", "--port", &port.path]);
+    assert!(found["applied_at_tick"].as_u64().is_some(), "{found}");
+    let mut get = Command::new(env!("CARGO_BIN_EXE_knob"));
+    let get = get
+        .args(["get", "--json", "--port", &port.path])
+        .output()
+        .unwrap();
+    let device: Value = serde_json::from_slice(&get.stdout).unwrap();
+    for key in ["inertia_kg_m2", "viscous_nm_s_rad", "coulomb_nm"] {
+        // An f32, written in few digits.
+        let on_device = |place: usize| f64::from(device[key][place].as_f64().unwrap() as f32);
+        let (low, high) = (&found[key]["low"], &found[key]["high"]);
+        assert!(on_device(0) <= low.as_f64().unwrap(), "{key}: {device}");
+        assert!(on_device(1) >= high.as_f64().unwrap(), "{key}: {device}");
+        assert!(
+            on_device(1) - on_device(0) < 0.1 * on_device(0),
+            "{key}: {device}"
+        );
+    }
+    // Nothing is set where nothing was found.
+    let held = file(
+        folder.path(),
+        "held.toml",
+        &format!("{SCENE}[hand]\npush_nm = 5e-4\n"),
+    );
+    let args = ["--scene", &held, "--apply", "--port", &port.path];
+    refused(&args, 1, &["a hand pushes it"]);
+    refused(
+        &["--scene", &scene, "--apply", "--port", "/no/such/port"],
+        1,
+        &["/no/such/port"],
+    );
+}
+
 #[test]
 fn flags_that_make_no_sense_are_bad_usage() {
     refused(&[], 2, &["--scene"]);
@@ -320,8 +365,9 @@ fn flags_that_make_no_sense_are_bad_usage() {
         );
     }
     let help = succeeds(&["--help"]);
-    assert!(
-        help.contains("Example") && help.contains("cannot push a connected knob"),
-        "{help}"
-    );
+    let words: Vec<&str> = help.split_whitespace().collect();
+    let help = words.join(" ");
+    for part in ["Example", "cannot push a connected knob by itself"] {
+        assert!(help.contains(part), "{help}");
+    }
 }

@@ -189,7 +189,7 @@ fn simulated(args: &Args, path: &Path) -> Result<Recording> {
     let mut samples = Vec::new();
     let mut now = count(start.position);
     while let Some(torque_nm) = experiment.tick(now) {
-        if samples.len() % 4096 == 0 {
+        if samples.len().is_multiple_of(4096) {
             stop::check()?;
         }
         samples.push(plant_sim::identify::Sample {

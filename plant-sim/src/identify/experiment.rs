@@ -186,7 +186,11 @@ impl Experiment {
 
     /// +1 or −1: directions take turns.
     fn sign(&self) -> f64 {
-        if self.done % 2 == 0 { 1.0 } else { -1.0 }
+        if self.done.is_multiple_of(2) {
+            1.0
+        } else {
+            -1.0
+        }
     }
 
     fn enter(&mut self, phase: Phase) {

@@ -143,8 +143,7 @@ pub fn identify(recording: &Recording) -> Result<Identified, Refusal> {
     {
         return Err(slip);
     }
-    // NaN is none.
-    if !(misfit_counts <= accepted_counts) {
+    if misfit_counts.is_nan() || misfit_counts > accepted_counts {
         return Err(beside(&model, &near, accepted_counts).unwrap_or_else(|| {
             Refusal::Unexplained {
                 misfit_counts,
@@ -170,7 +169,7 @@ pub fn identify(recording: &Recording) -> Result<Identified, Refusal> {
     let estimate = |which: usize, of: fn(&Device<f64>) -> f64| {
         let (low, high) = (of(&at(which, 0)), of(&at(which, 1)));
         Estimate {
-            value: of(&value).clamp(low, high),
+            value: of(&value).max(low).min(high),
             low,
             high,
         }
@@ -186,7 +185,7 @@ pub fn identify(recording: &Recording) -> Result<Identified, Refusal> {
         ("inertia (kg m²)", identified.inertia_kg_m2),
         ("Coulomb friction (Nm)", identified.coulomb_nm),
     ] {
-        if !(high <= MOST_RATIO * low) {
+        if high > MOST_RATIO * low {
             return Err(Refusal::Vague { name, low, high });
         }
     }
