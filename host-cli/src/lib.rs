@@ -16,6 +16,7 @@ mod parameters;
 mod ports;
 mod progress;
 mod reasons;
+mod recording;
 pub mod scene;
 mod session;
 mod stop;
@@ -64,6 +65,7 @@ enum Command {
     #[command(after_help = "Example:\n  knob save")]
     Save(orders::Args),
     Log(commands::log::Args),
+    Identify(commands::identify::Args),
 }
 
 /// What the program `knob` does with its arguments: its exit status.
@@ -92,6 +94,7 @@ pub fn run() -> ExitCode {
         Command::Clear(args) => orders::run(&args, Order::Clear),
         Command::Save(args) => orders::run(&args, Order::Save),
         Command::Log(args) => commands::log::run(&args),
+        Command::Identify(args) => commands::identify::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

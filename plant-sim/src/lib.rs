@@ -17,6 +17,7 @@
 //!   that is not even;
 //! - [`electrical`]: windings behind an inverter, PWM period by PWM period, for scenes that ask for it;
 //! - [`fidelity`]: a scene without what cannot change its answer, with a bound on the error;
+//! - [`identify`]: inertia and friction from a recording, as the set of all that explain every count;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
 //! - [`preset`]: devices known by name;
 //! - [`trial`], [`campaign`], [`search`]: what counts as a bad run of a law, random runs, and runs that
@@ -40,6 +41,7 @@ pub mod energy;
 pub mod fidelity;
 pub mod hand;
 pub mod hold;
+pub mod identify;
 pub mod kernel;
 pub mod knob;
 #[cfg(unix)]

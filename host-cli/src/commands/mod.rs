@@ -8,6 +8,7 @@ pub mod emulate;
 pub mod failures;
 pub mod figures;
 pub mod get;
+pub mod identify;
 pub mod info;
 pub mod log;
 pub mod map;

@@ -1,11 +1,11 @@
 //! `knob set`: change parameters, all or none.
 
 use anyhow::{Result, bail};
-use protocol::{Name, Refusal, Request};
+use protocol::{Changes, Name, Refusal, Request};
 use serde::Serialize;
 
 use super::get;
-use crate::device::Outcome;
+use crate::device::{Device, Identity, Outcome};
 use crate::output::say_line;
 use crate::parameters::{self, Assignment, Named};
 use crate::ports::Connection;
@@ -39,19 +39,7 @@ struct Json<'a> {
 pub fn run(args: &Args) -> Result<()> {
     let changes = parameters::changes(&args.assignments).map_err(Usage)?;
     let (mut device, identity) = args.connection.connect()?;
-    let tick = match device.order(Request::Set(changes))? {
-        Outcome::Done { tick } => tick,
-        Outcome::Refused(refusal) => {
-            let wanted = match refusal {
-                Refusal::Together { .. } => Some(device.parameters()?.with(&changes)),
-                _ => None,
-            };
-            bail!(
-                "nothing was set: {}",
-                words::refusal(&refusal, &identity.board, wanted.as_ref())
-            );
-        }
-    };
+    let tick = order(&mut device, &identity, &changes)?;
     let all = device.parameters()?;
     if args.connection.json {
         let json = Json {
@@ -68,4 +56,24 @@ pub fn run(args: &Args) -> Result<()> {
         say_line!("in force from tick {tick}");
     }
     Ok(())
+}
+
+/// Has a device take changes: the tick from which they are in force.
+///
+/// # Errors
+/// What it refused, and what it would accept.
+pub fn order(device: &mut Device, identity: &Identity, changes: &Changes) -> Result<u32> {
+    match device.order(Request::Set(*changes))? {
+        Outcome::Done { tick } => Ok(tick),
+        Outcome::Refused(refusal) => {
+            let wanted = match refusal {
+                Refusal::Together { .. } => Some(device.parameters()?.with(changes)),
+                _ => None,
+            };
+            bail!(
+                "nothing was set: {}",
+                words::refusal(&refusal, &identity.board, wanted.as_ref())
+            );
+        }
+    }
 }
