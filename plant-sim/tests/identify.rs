@@ -184,7 +184,8 @@ fn the_presets_are_found_within_a_tenth() {
 /// intervals that trust the model would lose it.
 #[test]
 fn a_little_of_what_the_model_lacks_widens_the_intervals_and_keeps_the_truth() {
-    let cases: [(&str, fn(&mut Bench)); 4] = [
+    type Change = fn(&mut Bench);
+    let cases: [(&str, Change); 4] = [
         ("cogging of 1 % of friction", |bench| {
             bench.motor.cogging_nm = 0.01 * bench.device.coulomb_nm;
             bench.motor.cogging_per_rev = 42.0;
