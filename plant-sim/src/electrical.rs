@@ -10,7 +10,7 @@
 //!
 //! and for a brushed motor L i' = −R i − k·speed + u. Both are linear with constant coefficients, so a
 //! period is an exponential of their matrix, summed as its series to rounding: there is no step
-//! size in the currents. Their mean torque is Simpson's over pieces of at most 1/8 of the fastest
+//! size in the currents. Their mean torque is Simpson's over pieces of at most 1/32 of the fastest
 //! time constant: an error below 1e-6 of the torque's change within the period.
 //!
 //! What a real inverter adds is opt-in, each by a number that is 0 where it is not wanted: see
@@ -155,7 +155,7 @@ pub struct Electrical {
 const FASTEST: f64 = 100.0;
 
 /// Pieces per unit of the fastest rate.
-const PIECES: f64 = 8.0;
+const PIECES: f64 = 32.0;
 
 /// Terms of the exponential's series: 8⁻¹⁴/14! is below 1e-23.
 const TERMS: u32 = 14;

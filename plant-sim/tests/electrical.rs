@@ -130,7 +130,7 @@ proptest! {
                 prop_assert!((ours - theirs).abs() < 1e-8 * scale_a, "{ours} {theirs} {scale_a}");
             }
             let torque = (rk.y[2] - before[2]) / PERIOD_S;
-            prop_assert!((period.torque_nm - torque).abs() < 1e-5 * scale_nm, "{period:?} {torque}");
+            prop_assert!((period.torque_nm - torque).abs() < 1e-5 * scale_nm, "{period:?} {torque} scale {scale_nm} diff {}", period.torque_nm - torque);
         }
     }
 
@@ -158,7 +158,7 @@ proptest! {
         let [d, q] = plant.rotor_currents();
         let stored = 0.75 * (motor.d_inductance_h * d * d + motor.q_inductance_h * q * q);
         let copper = rk.y[4];
-        prop_assert!((drawn - work - stored - copper).abs() < 1e-5 * (turnover + stored + copper));
+        prop_assert!((drawn - work - stored - copper).abs() < 1e-5 * (turnover + stored + copper), "{drawn} {work} {stored} {copper} {turnover}");
     }
 
     /// A brushed motor goes to (u − k·speed)/R with L/R.
