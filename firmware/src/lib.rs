@@ -2,6 +2,7 @@
 //!
 //! - [`ticker`]: what the tick's interrupt does, and the state disarmed, armed, fault;
 //! - [`desk`]: what answers the host, below the tick;
+//! - [`power`]: what a power stage and the firmware hand each other;
 //! - [`settings`]: parameters as they come over the wire, checked and made into a plan;
 //! - [`store`]: settings that survive, in two sectors of flash;
 //! - [`board`]: what a board owes the two; the boards themselves lie in `src/board/`.
@@ -13,6 +14,7 @@
 
 pub mod board;
 pub mod desk;
+pub mod power;
 pub mod settings;
 pub mod store;
 pub mod ticker;
