@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod flash;
+pub mod powered_twin;
 #[cfg(unix)]
 mod rig;
 pub mod systematic;
