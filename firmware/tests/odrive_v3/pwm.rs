@@ -1,0 +1,320 @@
+//! The bridge's timer, what it triggers, and how it is armed.
+
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+
+use control::torque::modulation::{Bus, Modulator};
+use control::torque::frames::Stationary;
+use firmware::odrive_v3::Registers;
+use firmware::odrive_v3::bridge::{self, Stage};
+use firmware::odrive_v3::current_sense;
+use firmware::power::{Bridge, ODRIVE_V3_24V};
+
+use crate::set_up::set_up;
+use crate::sim::{ADC, Chip, TIM1};
+
+const PERIOD: u64 = 7000;
+const BDTR: u32 = TIM1 + 0x44;
+
+/// Whether channel 1 to 3's high side is meant to be on at a count, from mode and CCR as they are in the registers.
+fn reference(chip: &Chip, channel: u32, at: u64) -> bool {
+    let ccmr = chip.word(TIM1 + 0x18 + 4 * (channel / 2)) >> (8 * (channel % 2));
+    assert_eq!(ccmr & 3, 0, "an output");
+    assert_eq!(ccmr >> 3 & 1, 1, "preload");
+    let ccr = u64::from(chip.sim().active[channel as usize]);
+    let top = u64::from(chip.word(TIM1 + 0x2C));
+    let count = if at < top { at } else { 2 * top - at };
+    // Up: CNT < CCR. Down: not while CNT > CCR.
+    let mode_1 = if at < top { count < ccr } else { count <= ccr && ccr > 0 };
+    match ccmr >> 4 & 7 {
+        6 => mode_1,
+        7 => !mode_1,
+        mode => panic!("mode {mode}"),
+    }
+}
+
+/// Duties that three phases really get.
+fn duties(volts: f32) -> Bridge {
+    let modulator = Modulator::new(&ODRIVE_V3_24V.into()).unwrap();
+    let volts = Stationary { alpha: volts, beta: 0.7 * volts };
+    let none = Stationary { alpha: 0.0, beta: 0.0 };
+    let bus: Bus = modulator.bus(24.0);
+    Bridge::On(modulator.three_phase(volts, none, bus))
+}
+
+#[test]
+fn pwm_is_24_khz_with_119_ns_of_dead_time() {
+    let chip = set_up();
+    let top = chip.word(TIM1 + 0x2C);
+    let cr1 = chip.word(TIM1);
+    assert_ne!(cr1 >> 5 & 3, 0, "centre-aligned");
+    assert_eq!(chip.word(TIM1 + 0x28), 0, "not divided");
+    assert_eq!(168e6 / f64::from(2 * top), 24e3);
+    assert_eq!(top, u32::from(ODRIVE_V3_24V.pwm_steps));
+    assert_eq!(f64::from(2 * top) / 168e6, ODRIVE_V3_24V.pwm_period_s);
+    // Up to 127 DTG is in ticks of t_DTS, which CKD leaves undivided.
+    let dtg = chip.word(BDTR) & 0xFF;
+    assert_eq!(cr1 >> 8 & 3, 0);
+    assert!(dtg < 128);
+    let dead_s = f64::from(dtg) / 168e6;
+    assert!((dead_s - 119e-9).abs() < 1e-9, "{dead_s}");
+    let all = dead_s + 104e-9;
+    assert!((all - ODRIVE_V3_24V.dead_time_s).abs() < 1e-9, "{all}");
+    // Off: held low, not let go, while MOE is clear and the channels are on.
+    assert_eq!(chip.word(BDTR) >> 10 & 3, 0b11, "OSSI, OSSR");
+    assert_eq!(chip.word(TIM1 + 0x20), 0x555, "six outputs, high active");
+    assert_eq!(chip.word(TIM1 + 0x04) >> 8, 0, "idle low");
+}
+
+#[test]
+fn one_update_in_a_period_at_the_top_of_the_count() {
+    let chip = set_up();
+    chip.pass(100 * PERIOD);
+    let sim = chip.sim();
+    assert!(sim.updates.len() > 100);
+    assert!(sim.updates.iter().all(|update| update.overflow));
+    let gaps = sim.updates.windows(2).map(|pair| pair[1].at - pair[0].at);
+    assert!(gaps.into_iter().all(|gap| gap == PERIOD));
+}
+
+#[test]
+fn currents_are_sampled_in_the_middle_of_the_low_sides_conduction() {
+    let chip = set_up();
+    let mut stage = Stage::new(chip.clone());
+    stage.apply(duties(6.0), &AtomicBool::new(false));
+    chip.pass(3 * PERIOD);
+    let sim = chip.sim();
+    let (start, last) = (sim.now - sim.position().unwrap(), *sim.triggers.last().unwrap());
+    assert!(sim.triggers.windows(2).all(|pair| pair[1] - pair[0] == PERIOD));
+    drop(sim);
+    let trigger = (PERIOD + last - start) % PERIOD;
+    for channel in 0..3 {
+        let low: Vec<u64> = (0..PERIOD).filter(|at| !reference(&chip, channel, *at)).collect();
+        let (begin, end) = (low[0], low[low.len() - 1] + 1);
+        assert_eq!(end - begin, low.len() as u64, "one stretch");
+        assert!(low.len() > 1000 && low.len() < 6500, "{}", low.len());
+        assert!((begin + end).abs_diff(2 * trigger) <= 2, "{begin} {end} {trigger}");
+    }
+}
+
+#[test]
+fn the_largest_duty_leaves_the_amplifiers_their_time() {
+    // Half of what is left of the period, less the dead time, against 2.4 µs at a gain of 80.
+    let left_s = (1.0 - ODRIVE_V3_24V.duty_max) * ODRIVE_V3_24V.pwm_period_s / 2.0;
+    assert!(left_s - ODRIVE_V3_24V.dead_time_s > 2.4e-6);
+}
+
+#[test]
+fn adcs_run_at_21_mhz_sample_three_cycles_and_one_of_them_interrupts() {
+    let chip = set_up();
+    let divider = 2.0 * f64::from((chip.word(0x4001_2304) >> 16 & 3) + 1);
+    let clock_hz = 84e6 / divider;
+    assert_eq!(clock_hz, 21e6);
+    let channels = [6, 10, 11];
+    for (adc, channel) in ADC.into_iter().zip(channels) {
+        assert_eq!(chip.word(adc + 0x38), channel << 15, "JL 0, the channel in JSQ4");
+        let (register, place) = if channel < 10 {
+            (0x10, 3 * channel)
+        } else {
+            (0x0C, 3 * (channel - 10))
+        };
+        assert_eq!(chip.word(adc + register) >> place & 7, 0, "3 cycles");
+        let cr2 = chip.word(adc + 0x08);
+        assert_eq!((cr2 & 1, cr2 >> 20 & 3, cr2 >> 16 & 0xF), (1, 1, 1));
+        assert_eq!(cr2 >> 11 & 1, 0, "right aligned");
+        assert_eq!(chip.word(adc + 0x04) >> 24 & 3, 0, "12 bits");
+    }
+    let interrupts = ADC.map(|adc| chip.word(adc + 0x04) >> 5 & 7);
+    assert_eq!(interrupts, [0b100, 0, 0], "JEOCIE of ADC1, nothing else");
+}
+
+#[test]
+fn every_trigger_brings_all_three_codes_within_a_microsecond() {
+    let mut chip = set_up();
+    for code in [0, 1, 2047, 2048, 4095] {
+        chip.sim().analog[6] = code ^ 1;
+        chip.sim().analog[10] = code;
+        chip.sim().analog[11] = 4095 - code;
+        while chip.word(ADC[0]) & 4 == 0 {
+            chip.pass(10);
+        }
+        let late = {
+            let sim = chip.sim();
+            sim.now - sim.triggers.last().unwrap()
+        };
+        assert!(late <= 168, "{late}");
+        current_sense::acknowledge(&mut chip);
+        assert_eq!(chip.word(ADC[0]) & 4, 0);
+        assert_eq!(current_sense::current_codes(&mut chip), [code, 4095 - code]);
+        assert_eq!(current_sense::bus_code(&mut chip), code ^ 1);
+    }
+}
+
+#[test]
+fn fet_temperature_is_converted_between_the_ticks() {
+    let mut chip = set_up();
+    chip.sim().analog[15] = 1234;
+    assert_eq!(current_sense::fet_temperature_code(&mut chip), Some(1234));
+    // 2.5 kΩ and 6 kΩ into 4 pF to half a step of 12 bits, RM0090 / data sheet.
+    let cycles = [3, 15, 28, 56, 84, 112, 144, 480][(chip.word(ADC[0] + 0x0C) >> 15 & 7) as usize];
+    let least = 8.5e3 * 4e-12 * (2f64.powi(14)).ln() * 21e6 + 0.5;
+    assert!(f64::from(cycles) > least, "{cycles} {least}");
+    // It fits between two triggers.
+    assert!((f64::from(cycles) + 12.0) / 21e6 < 1.0 / 24e3 - 1e-6);
+    chip.sim().adc_dead = true;
+    assert_eq!(current_sense::fet_temperature_code(&mut chip), None);
+    // The triggers go on.
+    assert_eq!(chip.word(ADC[0] + 8) >> 20 & 3, 1);
+}
+
+#[test]
+fn arming_brings_moe_with_the_duties_at_the_next_update_and_off_is_off_at_once() {
+    let chip = set_up();
+    let fault = AtomicBool::new(false);
+    let mut stage = Stage::new(chip.clone());
+    for volts in [0.0, 3.0, 8.0] {
+        chip.forget();
+        stage.apply(duties(volts), &fault);
+        let Bridge::On(asked) = duties(volts) else { unreachable!() };
+        let ccrs = asked.in_steps(3500).map(u32::from);
+        let expected = vec![
+            (TIM1 + 0x34, ccrs[0]),
+            (TIM1 + 0x38, ccrs[1]),
+            (TIM1 + 0x3C, ccrs[2]),
+            (BDTR, 20 | 0b11 << 10 | 0b11 << 12 | 1 << 14),
+        ];
+        assert_eq!(chip.writes(), expected, "CCR, then AOE");
+        assert!(!chip.sim().moe(), "not before the update");
+        chip.pass(PERIOD);
+        assert!(chip.sim().moe());
+        assert_eq!(chip.sim().active, ccrs);
+        // Once armed, only duties.
+        chip.forget();
+        stage.apply(duties(1.0), &fault);
+        assert_eq!(chip.writes().len(), 3);
+        assert_eq!(chip.sim().active, ccrs, "not before the next period");
+        chip.pass(PERIOD);
+        assert_ne!(chip.sim().active, ccrs);
+        chip.forget();
+        stage.apply(Bridge::Off, &fault);
+        assert!(!chip.sim().moe());
+        let writes = chip.writes();
+        assert_eq!(writes.len(), 1);
+        assert_eq!((writes[0].0, writes[0].1 >> 14 & 3), (BDTR, 0), "AOE, MOE");
+        chip.pass(10 * PERIOD);
+        assert!(!chip.sim().moe(), "and stays off");
+    }
+    chip.assert_no_violations();
+}
+
+#[test]
+fn the_emergency_is_one_write_that_nothing_undoes_but_a_new_arming() {
+    let mut chip = set_up();
+    let fault = AtomicBool::new(false);
+    let mut stage = Stage::new(chip.clone());
+    stage.apply(duties(3.0), &fault);
+    chip.pass(PERIOD);
+    assert!(chip.sim().moe());
+    chip.forget();
+    bridge::off(&mut chip);
+    assert_eq!(chip.sim().log.len(), 1, "no read, one write");
+    assert!(!chip.sim().moe());
+    // A tick that was interrupted by it goes on, and so do later ones.
+    for _ in 0..5 {
+        stage.apply(duties(3.0), &fault);
+        chip.pass(PERIOD);
+        assert!(!chip.sim().moe());
+    }
+    // The fault's flag keeps an arming out, wherever the interrupt comes.
+    stage.apply(Bridge::Off, &fault);
+    fault.store(true, SeqCst);
+    stage.apply(duties(3.0), &fault);
+    chip.pass(2 * PERIOD);
+    assert!(!chip.sim().moe());
+    fault.store(false, SeqCst);
+    stage.apply(Bridge::Off, &fault);
+    stage.apply(duties(3.0), &fault);
+    bridge::off(&mut chip);
+    chip.pass(2 * PERIOD);
+    assert!(!chip.sim().moe(), "between AOE and the update");
+    stage.apply(Bridge::Off, &fault);
+    stage.apply(duties(3.0), &fault);
+    chip.pass(PERIOD);
+    assert!(chip.sim().moe(), "off and on again is an arming");
+}
+
+/// A chip on which nFAULT's interrupt comes before the n-th access of a tick.
+struct Interrupted<'a> {
+    chip: Chip,
+    fault: &'a AtomicBool,
+    countdown: u32,
+}
+
+impl Interrupted<'_> {
+    fn step(&mut self) {
+        if self.countdown == 0 {
+            bridge::off(&mut self.chip);
+            self.fault.store(true, SeqCst);
+        }
+        self.countdown = self.countdown.wrapping_sub(1);
+    }
+}
+
+impl Registers for Interrupted<'_> {
+    fn read(&mut self, address: u32) -> u32 {
+        self.step();
+        self.chip.read(address)
+    }
+
+    fn write(&mut self, address: u32, value: u32) {
+        self.step();
+        self.chip.write(address, value);
+    }
+
+    fn wait_us(&mut self, time_us: u32) {
+        self.chip.wait_us(time_us);
+    }
+}
+
+#[test]
+fn a_fault_at_any_moment_of_an_arming_tick_leaves_the_bridge_off() {
+    for countdown in 0..6 {
+        let chip = set_up();
+        let fault = AtomicBool::new(false);
+        let mut stage = Stage::new(Interrupted {
+            chip: chip.clone(),
+            fault: &fault,
+            countdown,
+        });
+        stage.apply(duties(3.0), &fault);
+        chip.pass(2 * PERIOD);
+        let came = fault.load(SeqCst);
+        assert_eq!(came, countdown < 4);
+        assert_eq!(chip.sim().moe(), !came, "{countdown}");
+    }
+}
+
+#[test]
+fn a_tick_knows_where_in_the_period_it_is_and_whether_it_was_too_long() {
+    let chip = set_up();
+    let mut stage = Stage::new(chip.clone());
+    let wait_for_top = || {
+        let seen = chip.sim().updates.len();
+        while chip.sim().updates.len() == seen {
+            chip.pass(1);
+        }
+    };
+    for run in [100, 3400, 3600, 6900] {
+        wait_for_top();
+        stage.begin_period();
+        chip.pass(run);
+        let at = stage.ticks_into_period();
+        assert!(u64::from(at).abs_diff(run) < 20, "{at} {run}");
+        assert!(!stage.is_late());
+    }
+    wait_for_top();
+    stage.begin_period();
+    chip.pass(7010);
+    assert!(stage.is_late());
+    stage.begin_period();
+    assert!(!stage.is_late());
+}
