@@ -19,10 +19,7 @@
 //! The gate drivers have no way to break TIM1 off (its break input lies on pins that the board uses otherwise). BKE is
 //! on all the same: the clock security system breaks it off when the crystal stops.
 
-use core::sync::atomic::{AtomicBool, Ordering::SeqCst};
-
 use super::{Registers, SetUpError};
-use crate::power::Bridge;
 
 const TIM1_CR1: u32 = 0x4001_0000;
 const CEN: u32 = 1 << 0;
@@ -41,7 +38,6 @@ const SECOND_PWM_1: u32 = FIRST_PWM_1 << 8;
 const TIM1_CCER: u32 = 0x4001_0020;
 /// CC1E CC1NE CC2E CC2NE CC3E CC3NE, all high active.
 const ALL_SIX: u32 = 0b0101_0101_0101;
-const TIM1_CNT: u32 = 0x4001_0024;
 const TIM1_PSC: u32 = 0x4001_0028;
 const TIM1_ARR: u32 = 0x4001_002C;
 const TIM1_RCR: u32 = 0x4001_0030;
@@ -61,7 +57,6 @@ const DEAD_TIME: u32 = 20;
 
 /// MOE and AOE clear: all six outputs are held low, and stay so.
 const BDTR_OFF: u32 = DEAD_TIME | OSSI | OSSR | BKE | BKP;
-/// MOE rises at the next update, together with the duties that were written before.
 const BDTR_ARMED: u32 = BDTR_OFF | AOE;
 
 /// Steps of a duty from 0 to 1; half a PWM period, ticks of 168 MHz.
@@ -97,7 +92,7 @@ pub fn set_up(registers: &mut impl Registers) {
 pub fn start(registers: &mut impl Registers) -> Result<(), SetUpError> {
     registers.set(TIM1_CR1, CEN);
     for _ in 0..3 {
-        registers.write(TIM1_SR, !UIF);
+        forget_update(registers);
         // Looks are 10 µs apart, and the count falls for 20.8 µs from the top on.
         let updated = registers.becomes(TIM1_SR, UIF, UIF, 100);
         if !updated || registers.read(TIM1_CR1) & DIR == 0 {
@@ -107,72 +102,29 @@ pub fn start(registers: &mut impl Registers) -> Result<(), SetUpError> {
     Ok(())
 }
 
-/// The bridge, as the current tick drives it.
-pub struct Stage<R> {
-    registers: R,
-    armed: bool,
+/// The duties of the next period, in steps of [`PERIOD`].
+#[inline]
+pub fn set_duties(registers: &mut impl Registers, steps: [u16; 3]) {
+    let [a, b, c] = steps;
+    registers.write(TIM1_CCR1, u32::from(a));
+    registers.write(TIM1_CCR2, u32::from(b));
+    registers.write(TIM1_CCR3, u32::from(c));
 }
 
-impl<R: Registers> Stage<R> {
-    /// TIM1 was set up; off.
-    pub const fn new(registers: R) -> Self {
-        Self {
-            registers,
-            armed: false,
-        }
-    }
+/// MOE rises at the next update, together with the duties that were set before.
+#[inline]
+pub fn arm(registers: &mut impl Registers) {
+    registers.write(TIM1_BDTR, BDTR_ARMED);
+}
 
-    /// What the bridge does from the next period on; off is off at once.
-    ///
-    /// `fault` is what nFAULT's interrupt sets after it has turned the outputs off. Nothing that comes here turns them on
-    /// again while it is set: the interrupt either comes before it is looked at, or after MOE was asked for, and then takes
-    /// that back itself. Once off, `Bridge::Off` must come before they can be on again.
-    #[inline]
-    pub fn apply(&mut self, bridge: Bridge, fault: &AtomicBool) {
-        match bridge {
-            Bridge::Off => {
-                off(&mut self.registers);
-                self.armed = false;
-            }
-            Bridge::On(duties) => {
-                let [a, b, c] = duties.in_steps(PERIOD);
-                self.registers.write(TIM1_CCR1, u32::from(a));
-                self.registers.write(TIM1_CCR2, u32::from(b));
-                self.registers.write(TIM1_CCR3, u32::from(c));
-                if !self.armed {
-                    self.armed = true;
-                    self.registers.write(TIM1_BDTR, BDTR_ARMED);
-                    if fault.load(SeqCst) {
-                        off(&mut self.registers);
-                    }
-                }
-            }
-        }
-    }
+/// Forgets updates that came before.
+#[inline]
+pub fn forget_update(registers: &mut impl Registers) {
+    registers.write(TIM1_SR, !UIF);
+}
 
-    /// At the start of a current tick: forgets updates that came before.
-    #[inline]
-    pub fn begin_period(&mut self) {
-        self.registers.write(TIM1_SR, !UIF);
-    }
-
-    /// At the end of a current tick: true if the next period has begun meanwhile, so that what was decided came too late
-    /// for it.
-    #[inline]
-    pub fn is_late(&mut self) -> bool {
-        self.registers.read(TIM1_SR) & UIF != 0
-    }
-
-    /// Where the count is, from the overflow on: ticks of 168 MHz, 0 to 7000.
-    #[inline]
-    pub fn ticks_into_period(&mut self) -> u32 {
-        let falling = self.registers.read(TIM1_CR1) & DIR != 0;
-        let count = self.registers.read(TIM1_CNT) & 0xFFFF;
-        let period = u32::from(PERIOD);
-        if falling {
-            period.saturating_sub(count)
-        } else {
-            period + count
-        }
-    }
+/// True if a period has begun since [`forget_update`].
+#[inline]
+pub fn has_updated(registers: &mut impl Registers) -> bool {
+    registers.read(TIM1_SR) & UIF != 0
 }

@@ -49,6 +49,7 @@ const RCC_APB1RSTR: u32 = 0x4002_3820;
 const RCC_APB2RSTR: u32 = 0x4002_3824;
 const RCC_APB1ENR: u32 = 0x4002_3840;
 const TIM3: u32 = 1 << 1;
+const TIM5: u32 = 1 << 3;
 const SPI3: u32 = 1 << 15;
 const UART4: u32 = 1 << 19;
 const PWR: u32 = 1 << 28;
@@ -121,12 +122,12 @@ pub fn set_up(registers: &mut impl Registers) -> Result<(), SetUpError> {
 /// Clocks for the peripherals in use, each reset to what the manual says. The pins have theirs from
 /// [`super::pins::hold_off`].
 pub fn feed_peripherals(registers: &mut impl Registers) {
-    registers.set(RCC_APB1ENR, TIM3 | SPI3 | UART4 | PWR);
+    registers.set(RCC_APB1ENR, TIM3 | TIM5 | SPI3 | UART4 | PWR);
     registers.set(RCC_APB2ENR, TIM1 | ADC1 | ADC2 | ADC3 | SYSCFG);
     // A peripheral takes nothing in the first two cycles of its clock.
     registers.read(RCC_APB2ENR);
-    registers.set(RCC_APB1RSTR, TIM3 | SPI3 | UART4);
-    registers.clear(RCC_APB1RSTR, TIM3 | SPI3 | UART4);
+    registers.set(RCC_APB1RSTR, TIM3 | TIM5 | SPI3 | UART4);
+    registers.clear(RCC_APB1RSTR, TIM3 | TIM5 | SPI3 | UART4);
     registers.set(RCC_APB2RSTR, TIM1 | ADC_RESET);
     registers.clear(RCC_APB2RSTR, TIM1 | ADC_RESET);
     registers.read(RCC_APB2RSTR);

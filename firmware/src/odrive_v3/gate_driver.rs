@@ -77,6 +77,25 @@ pub enum GateDriverError {
     Fault(Status),
 }
 
+impl GateDriverError {
+    /// In two words: the status registers where it reports a fault. Anything else has bits above the eleven of a register: the
+    /// answer (all ones where there was none) and all ones, or a register with its address as it was read, bit 15 set, and
+    /// what was written.
+    #[must_use]
+    pub const fn words(self) -> [u16; 2] {
+        match self {
+            Self::Bus | Self::Silent => [0xFFFF; 2],
+            Self::Frame { answer } => [answer | FRAME_FAULT, 0xFFFF],
+            Self::NotKept {
+                register,
+                wrote,
+                read,
+            } => [READ | register << 11 | read, wrote],
+            Self::Fault(Status { one, two }) => [one, two],
+        }
+    }
+}
+
 /// The two status registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Status {

@@ -18,21 +18,25 @@
 //! | [`watchdog`] | IWDG, and what stands still under a debugger |
 //! | [`settings_flash`] | sectors 10 and 11 of the flash |
 //! | [`reset`] | why the chip was reset |
+//! | [`stage`] | the above, once in each PWM period |
+//! | [`housekeeping`] | the above, 10 to 100 times a second |
 
 pub mod bridge;
 pub mod clocks;
 pub mod current_sense;
 pub mod encoder;
 pub mod gate_driver;
+pub mod housekeeping;
 pub mod pins;
 pub mod reset;
 pub mod serial;
 pub mod settings_flash;
 pub mod spi;
+pub mod stage;
 pub mod supply;
 pub mod watchdog;
 
-use reset::ResetReason;
+use protocol::ResetReason;
 
 /// The registers of the chip, and its flash: whole words at addresses that are multiples of 4.
 pub trait Registers {
@@ -115,16 +119,13 @@ impl SetUpError {
 
 const SCB_VTOR: u32 = 0xE000_ED08;
 const FLASH: u32 = 0x0800_0000;
-const DEMCR: u32 = 0xE000_EDFC;
-const TRCENA: u32 = 1 << 24;
-const DWT_CTRL: u32 = 0xE000_1000;
-const CYCCNTENA: u32 = 1;
-const DWT_CYCCNT: u32 = 0xE000_1004;
+const TIM5_CR1: u32 = 0x4000_0C00;
+const TIM5_CNT: u32 = 0x4000_0C24;
 
-/// Cycles of the core, at 168 MHz, wrapping after 25 s.
+/// A free-running stopwatch: ticks of 84 MHz, wrapping after 51 s.
 #[inline]
-pub fn cycles(registers: &mut impl Registers) -> u32 {
-    registers.read(DWT_CYCCNT)
+pub fn stopwatch(registers: &mut impl Registers) -> u32 {
+    registers.read(TIM5_CNT)
 }
 
 /// Sets up all but the gate driver, which is still off afterwards, and starts the current tick's interrupt.
@@ -138,12 +139,11 @@ pub fn set_up(registers: &mut impl Registers) -> Result<ResetReason, SetUpError>
     let reason = reset::take_reason(registers);
     // The ROM's bootloader, which may have started us, has its own vectors at 0.
     registers.write(SCB_VTOR, FLASH);
-    registers.set(DEMCR, TRCENA);
-    registers.set(DWT_CTRL, CYCCNTENA);
     clocks::set_up(registers)?;
     watchdog::freeze_in_debug(registers);
     watchdog::start(registers);
     clocks::feed_peripherals(registers);
+    registers.write(TIM5_CR1, 1);
     bridge::set_up(registers);
     pins::connect(registers);
     encoder::set_up(registers);

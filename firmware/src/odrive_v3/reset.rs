@@ -1,5 +1,7 @@
 //! Why the chip was reset. RM0090, 7.3.21.
 
+use protocol::ResetReason;
+
 use super::Registers;
 
 const RCC_CSR: u32 = 0x4002_3874;
@@ -11,24 +13,8 @@ const IWDGRSTF: u32 = 1 << 29;
 const WWDGRSTF: u32 = 1 << 30;
 const LPWRRSTF: u32 = 1 << 31;
 
-/// What reset the chip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ResetReason {
-    /// The supply came.
-    PowerOn,
-    /// The supply fell below the brown-out level; only where the option bytes turn that on.
-    BrownOut,
-    /// The reset pin: the button, or a debugger.
-    Pin,
-    /// The program, or a debugger by way of the core.
-    Software,
-    /// The watchdog was not fed in time.
-    Watchdog,
-    /// The window watchdog or a low-power reset: nothing here uses them.
-    Other,
-}
-
-/// Reads the flags and clears them, so that the next reset is told from this one.
+/// Reads the flags and clears them, so that the next reset is told from this one. Unknown are the window watchdog
+/// and a low-power reset: nothing here uses them. Brown-out is told only where the option bytes turn it on.
 pub fn take_reason(registers: &mut impl Registers) -> ResetReason {
     let flags = registers.read(RCC_CSR);
     registers.set(RCC_CSR, RMVF);
@@ -38,7 +24,7 @@ pub fn take_reason(registers: &mut impl Registers) -> ResetReason {
     } else if flags & SFTRSTF != 0 {
         ResetReason::Software
     } else if flags & (LPWRRSTF | WWDGRSTF) != 0 {
-        ResetReason::Other
+        ResetReason::Unknown
     } else if flags & PORRSTF != 0 {
         ResetReason::PowerOn
     } else if flags & BORRSTF != 0 {

@@ -61,7 +61,7 @@ impl Variant {
     }
 }
 
-/// The FETs' temperature, °C: within 1.2 °C of the thermistor's law (10 kΩ, B 3434 K, to the supply; 3.3 kΩ to
+/// The FETs' temperature, °C: within 1.5 °C of the thermistor's law (10 kΩ, B 3434 K, to the supply; 3.3 kΩ to
 /// ground) from 0 to 120 °C. None where the thermistor does not answer: a code that only one colder than −20 °C, or
 /// a short circuit, would give.
 #[must_use]

@@ -13,6 +13,8 @@ pub struct Drv8301 {
     /// Bits of the control registers that do not take what they are given.
     pub dead_bits: u16,
     pub frame_faults: bool,
+    /// Axis 1's driver, on the same line.
+    pub other_fault: bool,
     /// Answers are of another register.
     pub wrong_address: bool,
     pub frames: Vec<u16>,
@@ -33,11 +35,15 @@ impl Drv8301 {
     }
 
     fn is_ready(&self, now: u64) -> bool {
-        self.on_since.is_some_and(|since| now - since >= Self::READY)
+        self.on_since
+            .is_some_and(|since| now - since >= Self::READY)
     }
 
     pub fn pulls_fault_down(&self, now: u64) -> bool {
-        !self.is_ready(now) || self.status[0] & 0x7BF != 0 || self.status[1] & 0x80 != 0
+        !self.is_ready(now)
+            || self.other_fault
+            || self.status[0] & 0x7BF != 0
+            || self.status[1] & 0x80 != 0
     }
 
     pub fn frame(&mut self, word: u16, now: u64) -> u16 {
@@ -66,7 +72,11 @@ impl Drv8301 {
                 2 | 3 => self.control[address as usize - 2],
                 _ => 0,
             };
-            let told = if self.wrong_address { address ^ 1 } else { address };
+            let told = if self.wrong_address {
+                address ^ 1
+            } else {
+                address
+            };
             self.next_answer = told << 11 | data;
         }
         if self.frame_faults {

@@ -1,11 +1,14 @@
 //! The DRV8301's driver against a simulated one behind the real SPI registers.
 
+use firmware::board::Housekeeping;
 use firmware::odrive_v3::gate_driver::{self, GateDriver, GateDriverError, Status};
+use firmware::odrive_v3::housekeeping::Slow;
 use firmware::odrive_v3::pins;
 use firmware::odrive_v3::spi::GateDriverSpi;
+use protocol::ResetReason;
 
 use crate::set_up::set_up;
-use crate::sim::Chip;
+use crate::sim::{Chip, EXTI};
 
 fn started() -> (Chip, GateDriver<GateDriverSpi<Chip>>) {
     let mut chip = set_up();
@@ -25,7 +28,11 @@ fn both_control_registers_are_set_as_the_board_wants_them() {
     assert_eq!(one >> 3 & 1, 0, "six inputs");
     assert_eq!(one & 7, 0, "1.7 A, no reset");
     assert_eq!(two >> 2 & 3, 3, "gain 80");
-    assert_eq!(two & !0b1100, 0, "no calibration, default off-time and OCTW");
+    assert_eq!(
+        two & !0b1100,
+        0,
+        "no calibration, default off-time and OCTW"
+    );
     chip.assert_no_violations();
     // Selected only while it is talked to.
     assert_eq!(chip.sim().driven('C', 13), Some(true));
@@ -44,7 +51,11 @@ fn lost_writes_are_repeated_up_to_five_times() {
     // The register reads as the reset left it: nothing but zeros in it, and its address before them.
     assert!(matches!(
         driver.configure(),
-        Err(GateDriverError::NotKept { register: 2, read: 0, .. })
+        Err(GateDriverError::NotKept {
+            register: 2,
+            read: 0,
+            ..
+        })
     ));
     assert_eq!(chip.sim().drv.frames.len(), 5 * 3);
 }
@@ -79,7 +90,11 @@ fn a_driver_that_forgot_its_settings_is_found_out() {
     chip.sim().drv.control = [0; 2];
     assert!(matches!(
         driver.check(),
-        Err(GateDriverError::NotKept { register: 2, read: 0, .. })
+        Err(GateDriverError::NotKept {
+            register: 2,
+            read: 0,
+            ..
+        })
     ));
     assert!(driver.configure().is_ok());
     for bit in 0..11 {
@@ -88,7 +103,10 @@ fn a_driver_that_forgot_its_settings_is_found_out() {
             assert!(driver.configure().is_ok());
             chip.sim().drv.control[register] ^= 1 << bit;
             let error = driver.check().unwrap_err();
-            assert!(matches!(error, GateDriverError::NotKept { .. }), "{error:?}");
+            assert!(
+                matches!(error, GateDriverError::NotKept { .. }),
+                "{error:?}"
+            );
         }
     }
 }
@@ -99,7 +117,12 @@ fn registers_that_do_not_keep_their_value_are_an_error() {
         let (chip, mut driver) = started();
         chip.sim().drv.dead_bits = 1 << bit;
         let error = driver.configure().unwrap_err();
-        let GateDriverError::NotKept { register, wrote, read } = error else {
+        let GateDriverError::NotKept {
+            register,
+            wrote,
+            read,
+        } = error
+        else {
             panic!("{error:?}");
         };
         assert_eq!((register, wrote & !(1 << bit)), (2, read));
@@ -110,14 +133,24 @@ fn registers_that_do_not_keep_their_value_are_an_error() {
 fn frame_faults_and_answers_to_another_question_are_errors() {
     let (chip, mut driver) = started();
     chip.sim().drv.frame_faults = true;
-    assert!(matches!(driver.configure(), Err(GateDriverError::Frame { .. })));
+    assert!(matches!(
+        driver.configure(),
+        Err(GateDriverError::Frame { .. })
+    ));
     let (chip, mut driver) = started();
     chip.sim().drv.wrong_address = true;
-    assert!(matches!(driver.configure(), Err(GateDriverError::Frame { .. })));
+    assert!(matches!(
+        driver.configure(),
+        Err(GateDriverError::Frame { .. })
+    ));
     let (chip, mut driver) = started();
     chip.sim().spi_dead = true;
     assert_eq!(driver.configure(), Err(GateDriverError::Bus));
-    assert_eq!(chip.sim().driven('C', 13), Some(true), "let go all the same");
+    assert_eq!(
+        chip.sim().driven('C', 13),
+        Some(true),
+        "let go all the same"
+    );
 }
 
 #[test]
@@ -126,7 +159,10 @@ fn every_fault_bit_is_a_fault_and_warmth_is_a_warning() {
         let (chip, mut driver) = started();
         assert!(driver.configure().is_ok());
         chip.sim().drv.status[0] = 1 << bit;
-        let status = Status { one: 1 << bit, two: 0 };
+        let status = Status {
+            one: 1 << bit,
+            two: 0,
+        };
         assert_eq!(driver.check(), Err(GateDriverError::Fault(status)));
         assert!(pins::is_fault_signalled(&mut chip.clone()));
     }
@@ -161,5 +197,39 @@ fn en_gate_is_low_for_longer_than_20_us_and_the_driver_gets_its_10_ms() {
     // It was reset, so it is to be set again.
     assert!(driver.check().is_err());
     assert!(driver.configure().is_ok());
+    chip.assert_no_violations();
+}
+
+#[test]
+fn slow_work_starts_the_driver_and_tells_what_is_wrong_in_two_words() {
+    let mut chip = set_up();
+    let mut slow = Slow::new(chip.clone(), ResetReason::PowerOn);
+    assert_eq!(slow.gate_driver(), Err([0xFFFF; 2]), "off");
+    assert_eq!(slow.restart_gate_driver(), Ok(()));
+    assert_eq!(slow.gate_driver(), Ok(()));
+    assert_eq!(chip.word(EXTI) & 4, 4, "nFAULT is listened to");
+    chip.sim().drv.status = [0x410, 1];
+    assert_eq!(slow.gate_driver(), Err([0x410, 1]));
+    // As long as it is there, a new start does not help, and its line is not listened to.
+    assert_eq!(slow.restart_gate_driver(), Err([0x410, 1]));
+    assert_eq!(chip.word(EXTI) & 4, 0);
+    chip.sim().drv.status = [0, 1];
+    assert_eq!(slow.restart_gate_driver(), Ok(()));
+    chip.sim().drv.control[1] = 0;
+    assert_eq!(slow.gate_driver(), Err([0x8000 | 3 << 11, 0xC]));
+    // The other axis's driver pulls the shared line down.
+    chip.sim().drv.other_fault = true;
+    assert_eq!(slow.restart_gate_driver(), Err([0, 1]));
+    assert_eq!(slow.reset_reason(), ResetReason::PowerOn);
+    let fed = chip.sim().fed.len();
+    slow.feed_watchdog();
+    assert_eq!(chip.sim().fed.len(), fed + 1);
+    chip.sim().analog[15] = 1024;
+    assert!((20.0..30.0).contains(&slow.temperature_c()));
+    chip.sim().analog[15] = 0;
+    assert!(slow.temperature_c().is_nan());
+    chip.sim().adc_dead = true;
+    assert!(slow.temperature_c().is_nan());
+    pins::ignore_fault(&mut chip);
     chip.assert_no_violations();
 }

@@ -2,15 +2,17 @@
 
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
-use control::torque::modulation::{Bus, Modulator};
+use control::torque::InverterConfig;
 use control::torque::frames::Stationary;
-use firmware::odrive_v3::Registers;
-use firmware::odrive_v3::bridge::{self, Stage};
-use firmware::odrive_v3::current_sense;
-use firmware::power::{Bridge, ODRIVE_V3_24V};
+use control::torque::modulation::{Bus, Modulator};
+use firmware::board::PowerStage;
+use firmware::odrive_v3::stage::Stage;
+use firmware::odrive_v3::supply::Variant;
+use firmware::odrive_v3::{Registers, bridge, current_sense};
+use firmware::power::{Bridge, ODRIVE_V3_24V, Sensed};
 
 use crate::set_up::set_up;
-use crate::sim::{ADC, Chip, TIM1};
+use crate::sim::{ADC, Chip, TIM1, TIM3};
 
 const PERIOD: u64 = 7000;
 const BDTR: u32 = TIM1 + 0x44;
@@ -24,7 +26,11 @@ fn reference(chip: &Chip, channel: u32, at: u64) -> bool {
     let top = u64::from(chip.word(TIM1 + 0x2C));
     let count = if at < top { at } else { 2 * top - at };
     // Up: CNT < CCR. Down: not while CNT > CCR.
-    let mode_1 = if at < top { count < ccr } else { count <= ccr && ccr > 0 };
+    let mode_1 = if at < top {
+        count < ccr
+    } else {
+        count <= ccr && ccr > 0
+    };
     match ccmr >> 4 & 7 {
         6 => mode_1,
         7 => !mode_1,
@@ -32,11 +38,42 @@ fn reference(chip: &Chip, channel: u32, at: u64) -> bool {
     }
 }
 
+/// The flag of nFAULT's interrupt, and a stage that looks at it.
+fn stage<R: Registers>(registers: R) -> (&'static AtomicBool, Stage<R>) {
+    let fault: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
+    (fault, Stage::new(registers, Variant::Volts24, fault))
+}
+
+/// Waits for the next update, which is the start of a period.
+fn next_period(chip: &Chip) {
+    let seen = chip.sim().updates.len();
+    while chip.sim().updates.len() == seen {
+        chip.pass(1);
+    }
+}
+
 /// Duties that three phases really get.
 fn duties(volts: f32) -> Bridge {
-    let modulator = Modulator::new(&ODRIVE_V3_24V.into()).unwrap();
-    let volts = Stationary { alpha: volts, beta: 0.7 * volts };
-    let none = Stationary { alpha: 0.0, beta: 0.0 };
+    let stage = ODRIVE_V3_24V;
+    let modulator = Modulator::new(&InverterConfig {
+        pwm_period_s: stage.pwm_period_s,
+        pwm_steps: stage.pwm_steps,
+        dead_time_s: stage.dead_time_s,
+        dead_time_edge_a: stage.dead_time_edge_a,
+        duty_max: stage.duty_max,
+        bus_least_v: stage.bus_least_v,
+        bus_most_v: stage.bus_most_v,
+        current_step_a: stage.current_step_a,
+    })
+    .unwrap();
+    let volts = Stationary {
+        alpha: volts,
+        beta: 0.7 * volts,
+    };
+    let none = Stationary {
+        alpha: 0.0,
+        beta: 0.0,
+    };
     let bus: Bus = modulator.bus(24.0);
     Bridge::On(modulator.three_phase(volts, none, bus))
 }
@@ -79,20 +116,32 @@ fn one_update_in_a_period_at_the_top_of_the_count() {
 #[test]
 fn currents_are_sampled_in_the_middle_of_the_low_sides_conduction() {
     let chip = set_up();
-    let mut stage = Stage::new(chip.clone());
-    stage.apply(duties(6.0), &AtomicBool::new(false));
+    let (_, mut stage) = stage(chip.clone());
+    stage.apply(duties(6.0));
     chip.pass(3 * PERIOD);
     let sim = chip.sim();
-    let (start, last) = (sim.now - sim.position().unwrap(), *sim.triggers.last().unwrap());
-    assert!(sim.triggers.windows(2).all(|pair| pair[1] - pair[0] == PERIOD));
+    let (start, last) = (
+        sim.now - sim.position().unwrap(),
+        *sim.triggers.last().unwrap(),
+    );
+    assert!(
+        sim.triggers
+            .windows(2)
+            .all(|pair| pair[1] - pair[0] == PERIOD)
+    );
     drop(sim);
     let trigger = (PERIOD + last - start) % PERIOD;
     for channel in 0..3 {
-        let low: Vec<u64> = (0..PERIOD).filter(|at| !reference(&chip, channel, *at)).collect();
+        let low: Vec<u64> = (0..PERIOD)
+            .filter(|at| !reference(&chip, channel, *at))
+            .collect();
         let (begin, end) = (low[0], low[low.len() - 1] + 1);
         assert_eq!(end - begin, low.len() as u64, "one stretch");
         assert!(low.len() > 1000 && low.len() < 6500, "{}", low.len());
-        assert!((begin + end).abs_diff(2 * trigger) <= 2, "{begin} {end} {trigger}");
+        assert!(
+            (begin + end).abs_diff(2 * trigger) <= 2,
+            "{begin} {end} {trigger}"
+        );
     }
 }
 
@@ -111,7 +160,11 @@ fn adcs_run_at_21_mhz_sample_three_cycles_and_one_of_them_interrupts() {
     assert_eq!(clock_hz, 21e6);
     let channels = [6, 10, 11];
     for (adc, channel) in ADC.into_iter().zip(channels) {
-        assert_eq!(chip.word(adc + 0x38), channel << 15, "JL 0, the channel in JSQ4");
+        assert_eq!(
+            chip.word(adc + 0x38),
+            channel << 15,
+            "JL 0, the channel in JSQ4"
+        );
         let (register, place) = if channel < 10 {
             (0x10, 3 * channel)
         } else {
@@ -169,12 +222,13 @@ fn fet_temperature_is_converted_between_the_ticks() {
 #[test]
 fn arming_brings_moe_with_the_duties_at_the_next_update_and_off_is_off_at_once() {
     let chip = set_up();
-    let fault = AtomicBool::new(false);
-    let mut stage = Stage::new(chip.clone());
+    let (_, mut stage) = stage(chip.clone());
     for volts in [0.0, 3.0, 8.0] {
         chip.forget();
-        stage.apply(duties(volts), &fault);
-        let Bridge::On(asked) = duties(volts) else { unreachable!() };
+        stage.apply(duties(volts));
+        let Bridge::On(asked) = duties(volts) else {
+            unreachable!()
+        };
         let ccrs = asked.in_steps(3500).map(u32::from);
         let expected = vec![
             (TIM1 + 0x34, ccrs[0]),
@@ -189,13 +243,13 @@ fn arming_brings_moe_with_the_duties_at_the_next_update_and_off_is_off_at_once()
         assert_eq!(chip.sim().active, ccrs);
         // Once armed, only duties.
         chip.forget();
-        stage.apply(duties(1.0), &fault);
+        stage.apply(duties(1.0));
         assert_eq!(chip.writes().len(), 3);
         assert_eq!(chip.sim().active, ccrs, "not before the next period");
         chip.pass(PERIOD);
         assert_ne!(chip.sim().active, ccrs);
         chip.forget();
-        stage.apply(Bridge::Off, &fault);
+        stage.apply(Bridge::Off);
         assert!(!chip.sim().moe());
         let writes = chip.writes();
         assert_eq!(writes.len(), 1);
@@ -209,9 +263,8 @@ fn arming_brings_moe_with_the_duties_at_the_next_update_and_off_is_off_at_once()
 #[test]
 fn the_emergency_is_one_write_that_nothing_undoes_but_a_new_arming() {
     let mut chip = set_up();
-    let fault = AtomicBool::new(false);
-    let mut stage = Stage::new(chip.clone());
-    stage.apply(duties(3.0), &fault);
+    let (fault, mut stage) = stage(chip.clone());
+    stage.apply(duties(3.0));
     chip.pass(PERIOD);
     assert!(chip.sim().moe());
     chip.forget();
@@ -220,36 +273,36 @@ fn the_emergency_is_one_write_that_nothing_undoes_but_a_new_arming() {
     assert!(!chip.sim().moe());
     // A tick that was interrupted by it goes on, and so do later ones.
     for _ in 0..5 {
-        stage.apply(duties(3.0), &fault);
+        stage.apply(duties(3.0));
         chip.pass(PERIOD);
         assert!(!chip.sim().moe());
     }
     // The fault's flag keeps an arming out, wherever the interrupt comes.
-    stage.apply(Bridge::Off, &fault);
+    stage.apply(Bridge::Off);
     fault.store(true, SeqCst);
-    stage.apply(duties(3.0), &fault);
+    stage.apply(duties(3.0));
     chip.pass(2 * PERIOD);
     assert!(!chip.sim().moe());
     fault.store(false, SeqCst);
-    stage.apply(Bridge::Off, &fault);
-    stage.apply(duties(3.0), &fault);
+    stage.apply(Bridge::Off);
+    stage.apply(duties(3.0));
     bridge::off(&mut chip);
     chip.pass(2 * PERIOD);
     assert!(!chip.sim().moe(), "between AOE and the update");
-    stage.apply(Bridge::Off, &fault);
-    stage.apply(duties(3.0), &fault);
+    stage.apply(Bridge::Off);
+    stage.apply(duties(3.0));
     chip.pass(PERIOD);
     assert!(chip.sim().moe(), "off and on again is an arming");
 }
 
 /// A chip on which nFAULT's interrupt comes before the n-th access of a tick.
-struct Interrupted<'a> {
+struct Interrupted {
     chip: Chip,
-    fault: &'a AtomicBool,
+    fault: &'static AtomicBool,
     countdown: u32,
 }
 
-impl Interrupted<'_> {
+impl Interrupted {
     fn step(&mut self) {
         if self.countdown == 0 {
             bridge::off(&mut self.chip);
@@ -259,7 +312,7 @@ impl Interrupted<'_> {
     }
 }
 
-impl Registers for Interrupted<'_> {
+impl Registers for Interrupted {
     fn read(&mut self, address: u32) -> u32 {
         self.step();
         self.chip.read(address)
@@ -279,42 +332,79 @@ impl Registers for Interrupted<'_> {
 fn a_fault_at_any_moment_of_an_arming_tick_leaves_the_bridge_off() {
     for countdown in 0..6 {
         let chip = set_up();
-        let fault = AtomicBool::new(false);
-        let mut stage = Stage::new(Interrupted {
+        let fault: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
+        let registers = Interrupted {
             chip: chip.clone(),
-            fault: &fault,
+            fault,
             countdown,
-        });
-        stage.apply(duties(3.0), &fault);
+        };
+        let mut stage = Stage::new(registers, Variant::Volts24, fault);
+        stage.apply(duties(3.0));
         chip.pass(2 * PERIOD);
-        let came = fault.load(SeqCst);
-        assert_eq!(came, countdown < 4);
+        let came = countdown < 5;
         assert_eq!(chip.sim().moe(), !came, "{countdown}");
+        // It is told once.
+        assert_eq!(stage.gate_fault(), came);
+        assert!(!stage.gate_fault());
     }
 }
 
 #[test]
-fn a_tick_knows_where_in_the_period_it_is_and_whether_it_was_too_long() {
+fn a_tick_that_is_skipped_or_decides_too_late_is_told_once() {
     let chip = set_up();
-    let mut stage = Stage::new(chip.clone());
-    let wait_for_top = || {
-        let seen = chip.sim().updates.len();
-        while chip.sim().updates.len() == seen {
-            chip.pass(1);
-        }
-    };
-    for run in [100, 3400, 3600, 6900] {
-        wait_for_top();
-        stage.begin_period();
+    let (_, mut stage) = stage(chip.clone());
+    for run in [100, 3400, 6500, 2000] {
+        next_period(&chip);
+        assert!(!stage.acknowledge());
         chip.pass(run);
-        let at = stage.ticks_into_period();
-        assert!(u64::from(at).abs_diff(run) < 20, "{at} {run}");
-        assert!(!stage.is_late());
+        stage.apply(duties(3.0));
     }
-    wait_for_top();
-    stage.begin_period();
+    // Still at work when the next period begins.
+    next_period(&chip);
+    assert!(!stage.acknowledge());
     chip.pass(7010);
-    assert!(stage.is_late());
-    stage.begin_period();
-    assert!(!stage.is_late());
+    stage.apply(duties(3.0));
+    assert!(stage.acknowledge());
+    next_period(&chip);
+    assert!(!stage.acknowledge());
+    stage.apply(duties(3.0));
+    // Kept from running for more than a period.
+    for periods in [2, 3, 10] {
+        for _ in 0..periods {
+            next_period(&chip);
+        }
+        assert!(stage.acknowledge());
+        stage.apply(Bridge::Off);
+        next_period(&chip);
+        assert!(!stage.acknowledge());
+        stage.apply(Bridge::Off);
+    }
+}
+
+#[test]
+fn what_is_sensed_is_this_periods() {
+    let chip = set_up();
+    let (_, mut stage) = stage(chip.clone());
+    for step in 0..20 {
+        chip.sim().analog[10] = 2000 + step;
+        chip.sim().analog[11] = 2096 - step;
+        chip.sim().analog[6] = 2700 + step;
+        chip.poke(TIM3 + 0x24, u32::from(step));
+        next_period(&chip);
+        chip.pass(168);
+        stage.acknowledge();
+        let expected = Sensed {
+            currents: [2000 + step, 2096 - step],
+            bus_v: f32::from(2700 + step) * (3.3 / 4096.0 * 11.0),
+            counter: u32::from(step),
+        };
+        let sensed = stage.sensed();
+        assert_eq!(
+            (sensed.currents, sensed.counter),
+            (expected.currents, expected.counter)
+        );
+        assert!((sensed.bus_v - expected.bus_v).abs() < 1e-4);
+    }
+    assert_eq!(stage.facts(), ODRIVE_V3_24V);
+    assert_eq!(Stage::<Chip>::COUNTER_BITS, 16);
 }

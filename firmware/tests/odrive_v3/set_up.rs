@@ -1,7 +1,7 @@
 //! Clocks, pins, watchdog, and the order in which things happen.
 
-use firmware::odrive_v3::reset::{self, ResetReason};
-use firmware::odrive_v3::{self as board, SetUpError, gate_driver, pins};
+use firmware::odrive_v3::{self as board, SetUpError, gate_driver, pins, reset};
+use protocol::ResetReason;
 
 use crate::sim::{ADC, Chip, EXTI, FLASH, GPIO, IWDG, PWR, RCC, SPI3, TIM1, TIM3, UART4};
 
@@ -40,7 +40,13 @@ fn the_core_has_168_mhz_and_the_buses_what_they_may_have() {
     let system = vco / f64::from(2 * (pll >> 16 & 3) + 2);
     let usb = vco / f64::from(pll >> 24 & 0xF);
     let cfgr = chip.word(RCC + 0x08);
-    let divider = |bits: u32| if bits < 4 { 1.0 } else { f64::from(2 << (bits - 4)) };
+    let divider = |bits: u32| {
+        if bits < 4 {
+            1.0
+        } else {
+            f64::from(2 << (bits - 4))
+        }
+    };
     assert_eq!(cfgr >> 7 & 1, 0, "AHB is not divided");
     let apb1 = system / divider(cfgr >> 10 & 7);
     let apb2 = system / divider(cfgr >> 13 & 7);
@@ -166,7 +172,9 @@ fn levels_are_there_before_outputs_are_and_outputs_before_anything_else() {
     for &(port, number, mode, _, _, level) in PINS.iter().filter(|pin| pin.2 == OUTPUT) {
         let base = GPIO[port as usize - 'A' as usize];
         let bit = if level { number } else { number + 16 };
-        let set = first(&chip, |at, value| at == base + 0x18 && value >> bit & 1 == 1);
+        let set = first(&chip, |at, value| {
+            at == base + 0x18 && value >> bit & 1 == 1
+        });
         let made = first(&chip, |at, value| {
             at == base && value >> (2 * number) & 3 == mode
         });
@@ -192,8 +200,12 @@ fn bridge_pins_go_to_tim1_only_when_it_holds_them_low() {
     // Both ends of the order: EN_GATE last of all, after PC14 is high.
     let mut chip = chip;
     gate_driver::restart(&mut chip);
-    let enabled = first(&chip, |at, value| at == GPIO[1] + 0x18 && value >> 12 & 1 == 1);
-    let high = first(&chip, |at, value| at == GPIO[2] + 0x18 && value >> 14 & 1 == 1);
+    let enabled = first(&chip, |at, value| {
+        at == GPIO[1] + 0x18 && value >> 12 & 1 == 1
+    });
+    let high = first(&chip, |at, value| {
+        at == GPIO[2] + 0x18 && value >> 14 & 1 == 1
+    });
     assert!(high < enabled && ready < enabled);
 }
 
@@ -255,8 +267,8 @@ fn the_reset_reason_is_told_once() {
         (0x0400_0000, ResetReason::Pin),
         (0x1400_0000, ResetReason::Software),
         (0x2400_0000, ResetReason::Watchdog),
-        (0x4400_0000, ResetReason::Other),
-        (0x8400_0000, ResetReason::Other),
+        (0x4400_0000, ResetReason::Unknown),
+        (0x8400_0000, ResetReason::Unknown),
     ] {
         let mut chip = Chip::new();
         chip.poke(RCC + 0x74, flags);

@@ -23,6 +23,7 @@ pub const SPI3: u32 = 0x4000_3C00;
 pub const UART4: u32 = 0x4000_4C00;
 pub const IWDG: u32 = 0x4000_3000;
 pub const EXTI: u32 = 0x4001_3C00;
+const TIM5: u32 = 0x4000_0C00;
 const SETTINGS: std::ops::Range<u32> = 0x080C_0000..0x0810_0000;
 const OTP: u32 = 0x1FFF_7800;
 
@@ -188,7 +189,9 @@ impl Chip {
     pub fn writes(&self) -> Vec<(u32, u32)> {
         let sim = self.sim();
         let writes = sim.log.iter().filter(|access| access.write);
-        writes.map(|access| (access.address, access.value)).collect()
+        writes
+            .map(|access| (access.address, access.value))
+            .collect()
     }
 
     pub fn forget(&self) {
@@ -212,11 +215,13 @@ impl Registers for Chip {
         sim.now += 4;
         sim.run_timer();
         let value = sim.answer_to_read(address);
-        sim.log.push(Access {
-            write: false,
-            address,
-            value,
-        });
+        if !SETTINGS.contains(&address) {
+            sim.log.push(Access {
+                write: false,
+                address,
+                value,
+            });
+        }
         value
     }
 
@@ -253,8 +258,7 @@ impl Sim {
     pub fn pin(&self, port: char, number: u32) -> (u32, u32, u32, bool) {
         let base = GPIO[port as usize - 'A' as usize];
         let two = |register: u32| self.stored(base + register) >> (2 * number) & 3;
-        let function =
-            self.stored(base + 0x20 + 4 * (number / 8)) >> (4 * (number % 8)) & 0xF;
+        let function = self.stored(base + 0x20 + 4 * (number / 8)) >> (4 * (number % 8)) & 0xF;
         let level = self.stored(base + 0x14) >> number & 1 == 1;
         (two(0), function, two(0x0C), level)
     }
@@ -309,6 +313,7 @@ impl Sim {
             },
             0x4001_3800 => bit(0x44, 14),
             TIM3 => bit(0x40, 1),
+            TIM5 => bit(0x40, 3),
             SPI3 => bit(0x40, 15),
             UART4 => bit(0x40, 19),
             PWR => bit(0x40, 28),
@@ -399,6 +404,7 @@ impl Sim {
                 let falling = self.position().is_some_and(|at| at >= self.top());
                 stored & !(1 << 4) | u32::from(falling) << 4
             }
+            a if a == TIM5 + 0x24 && self.stored(TIM5) & 1 != 0 => (self.now / 2) as u32,
             a if a == TIM1 + 0x24 => {
                 let (at, top) = (self.position().unwrap_or(0), self.top());
                 (if at < top { at } else { 2 * top - at }) as u32
@@ -590,8 +596,10 @@ impl Sim {
     fn spi_word(&mut self, value: u32) {
         let cr1 = self.stored(SPI3);
         // CPHA, no CPOL, master, enabled, MSB first, 16 bits.
-        if cr1 & 0b1000_1100_0111 != 0b1000_0000_0101 || cr1 & 0x40 == 0 || value > 0xFFFF {
-            self.violation(format!("SPI3 is not ready for 16 bits in mode 1: {cr1:#06x}"));
+        if cr1 & 0b1100_1000_0111 != 0b1000_0000_0101 || cr1 & 0x40 == 0 || value > 0xFFFF {
+            self.violation(format!(
+                "SPI3 is not ready for 16 bits in mode 1: {cr1:#06x}"
+            ));
         }
         let clock_hz = 42e6 / f64::from(2 << (cr1 >> 3 & 7));
         if clock_hz > 2.7e6 {
@@ -670,7 +678,8 @@ impl Sim {
             return;
         }
         let start = 0x0800_0000 + (sector - 4) * 0x2_0000;
-        self.flash.retain(|at, _| !(start..start + 0x2_0000).contains(at));
+        self.flash
+            .retain(|at, _| !(start..start + 0x2_0000).contains(at));
         // Data sheet, 128 KB at worst: 4, 2.6, 2 s.
         let worst_s = [4.0, 2.6, 2.0, 0.0][(cr >> 8 & 3) as usize];
         self.busy((worst_s * 168e6) as u64);
@@ -707,7 +716,14 @@ impl Sim {
                 self.violation(format!("P{port}{number} is taken from the debugger"));
             }
         }
-        let bridge = [('A', 8), ('A', 9), ('A', 10), ('B', 13), ('B', 14), ('B', 15)];
+        let bridge = [
+            ('A', 8),
+            ('A', 9),
+            ('A', 10),
+            ('B', 13),
+            ('B', 14),
+            ('B', 15),
+        ];
         for (port, number) in bridge {
             let is_connected = self.pin(port, number).0 != 0;
             if is_connected && !self.moe() && self.driven(port, number) != Some(false) {
