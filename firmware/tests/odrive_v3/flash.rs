@@ -144,7 +144,7 @@ fn the_store_keeps_settings_on_it() {
         assert!(chip.sim().flash.contains_key(&start));
         // No room in this sector any more.
         for slot in 1..512 {
-            chip.sim().flash.insert(start + 256 * slot, 0);
+            chip.sim().hold(start + 256 * slot, 0);
         }
     }
     assert_eq!(chip.sim().erased, [10, 11, 10, 11, 10, 11]);

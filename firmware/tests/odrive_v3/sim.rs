@@ -289,6 +289,12 @@ impl Sim {
         Some(self.stored(TIM1 + 0x04) >> idle & 1 == 1)
     }
 
+    /// Flash that was like this all along.
+    pub fn hold(&mut self, address: u32, value: u32) {
+        self.flash.insert(address, value);
+        self.cache.remove(&address);
+    }
+
     pub fn moe(&self) -> bool {
         self.stored(TIM1 + 0x44) & 1 << 15 != 0
     }
