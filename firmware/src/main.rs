@@ -4,16 +4,24 @@
 #![cfg_attr(target_os = "none", no_std)]
 #![cfg_attr(target_os = "none", no_main)]
 
-#[cfg(target_os = "none")]
+#[cfg(all(target_os = "none", not(feature = "odrive-v3")))]
 #[path = "board/emulated.rs"]
 mod board;
+
+#[cfg(all(target_os = "none", feature = "odrive-v3"))]
+#[path = "board/odrive_v3.rs"]
+mod board;
+
+#[cfg(all(target_os = "none", feature = "odrive-v3"))]
+#[path = "app/bare.rs"]
+mod application;
 
 #[cfg(not(target_os = "none"))]
 fn main() {
     eprintln!("this program runs on the chip: build it with `cargo xtask firmware`");
 }
 
-#[cfg(target_os = "none")]
+#[cfg(all(target_os = "none", not(feature = "odrive-v3")))]
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use firmware::board::{AngleCounter, SerialOutput, TickClock, TorqueOutput};

@@ -18,6 +18,8 @@ const PR_32: u32 = 3;
 const RL_4096: u32 = 4095;
 const PVU_RVU: u32 = 3;
 
+const DBGMCU_CR: u32 = 0xE004_2004;
+const DBG_SLEEP: u32 = 1 << 0;
 const DBGMCU_APB1_FZ: u32 = 0xE004_2008;
 const DBG_IWDG_STOP: u32 = 1 << 12;
 const DBGMCU_APB2_FZ: u32 = 0xE004_200C;
@@ -39,8 +41,10 @@ pub fn feed(registers: &mut impl Registers) {
     registers.write(IWDG_KR, KEY_RELOAD);
 }
 
-/// A debugger that holds the core holds TIM1, which takes its outputs off, and the watchdog.
+/// A debugger that holds the core holds TIM1, which takes its outputs off, and the watchdog. It can read the log while the core
+/// sleeps.
 pub fn freeze_in_debug(registers: &mut impl Registers) {
+    registers.set(DBGMCU_CR, DBG_SLEEP);
     registers.set(DBGMCU_APB1_FZ, DBG_IWDG_STOP);
     registers.set(DBGMCU_APB2_FZ, DBG_TIM1_STOP);
 }
