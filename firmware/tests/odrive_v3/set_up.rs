@@ -64,7 +64,8 @@ fn the_core_has_168_mhz_and_the_buses_what_they_may_have() {
 
 #[test]
 fn an_oscillator_that_does_not_start_is_an_error_and_leaves_everything_off() {
-    let attempts: [(fn(&Chip), SetUpError); 5] = [
+    type Damage = fn(&Chip);
+    let attempts: [(Damage, SetUpError); 5] = [
         (|chip| chip.sim().crystal_dead = true, SetUpError::Crystal),
         (|chip| chip.sim().pll_dead = true, SetUpError::Pll),
         (

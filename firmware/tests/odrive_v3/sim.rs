@@ -344,14 +344,14 @@ impl Sim {
                 self.repetitions -= 1;
             }
         }
-        for i in 0..3 {
+        for (i, adc) in ADC.into_iter().enumerate() {
             if self.conversion_ends[i].is_some_and(|end| end <= self.now) {
                 self.conversion_ends[i] = None;
                 // JL 0: the one channel is in JSQ4.
-                let channel = self.stored(ADC[i] + 0x38) >> 15 & 31;
+                let channel = self.stored(adc + 0x38) >> 15 & 31;
                 let code = self.analog[channel as usize];
-                self.words.insert(ADC[i] + 0x3C, u32::from(code));
-                *self.words.entry(ADC[i]).or_default() |= 1 << 2;
+                self.words.insert(adc + 0x3C, u32::from(code));
+                *self.words.entry(adc).or_default() |= 1 << 2;
             }
         }
     }
@@ -468,7 +468,7 @@ impl Sim {
     }
 
     fn take_write(&mut self, address: u32, value: u32) {
-        if address % 4 != 0 {
+        if !address.is_multiple_of(4) {
             self.violation(format!("{address:#010x} is no word"));
         }
         if !self.has_clock(address) {
