@@ -57,7 +57,7 @@ pub struct Sim {
     started: Option<u64>,
     events_done: u64,
     repetitions: u32,
-    /// A chip on which the repetition counter stands at 1 at the start.
+    /// A chip on which the repetition counter stands at 1 after a reset.
     pub odd_silicon: bool,
     pub timer_dead: bool,
     pub updates: Vec<Update>,
@@ -491,6 +491,7 @@ impl Sim {
                 if value & 1 != 0 {
                     self.words.retain(|word, _| word & !0x3FF != TIM1);
                     self.words.insert(TIM1 + 0x2C, 0xFFFF);
+                    self.repetitions = u32::from(self.odd_silicon);
                     self.started = None;
                 }
                 if value & 1 << 8 != 0 {
@@ -506,7 +507,6 @@ impl Sim {
                 if value & 1 != 0 && before & 1 == 0 {
                     self.started = Some(self.now);
                     self.events_done = 0;
-                    self.repetitions = u32::from(self.odd_silicon);
                 } else if value & 1 == 0 {
                     self.started = None;
                 }
