@@ -5,7 +5,10 @@
 //! Nothing of this was run on a board.
 
 use core::panic::PanicInfo;
-use core::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use core::sync::atomic::{
+    AtomicBool, AtomicU32,
+    Ordering::{Relaxed, SeqCst},
+};
 
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::{ExceptionFrame, exception};
@@ -145,6 +148,18 @@ impl Rest {
 /// A stopwatch: ticks of 84 MHz.
 pub fn stopwatch() -> u32 {
     odrive_v3::stopwatch(&mut Chip(()))
+}
+
+/// The longest current tick so far, ticks of the stopwatch: for a debugger to read.
+static LONGEST_TICK: AtomicU32 = AtomicU32::new(0);
+
+/// Notes what a current tick cost.
+#[inline]
+pub fn tick_cost(start: u32) {
+    let cost = stopwatch().wrapping_sub(start);
+    if cost > LONGEST_TICK.load(Relaxed) {
+        LONGEST_TICK.store(cost, Relaxed);
+    }
 }
 
 /// Outputs off, and nothing more happens until the watchdog resets the chip.
