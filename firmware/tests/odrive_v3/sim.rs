@@ -4,6 +4,10 @@
 //!
 //! Written from RM0090 and the DRV8301's data sheet, with no constant taken from the firmware.
 
+mod flash;
+mod laws;
+mod timer;
+
 use std::cell::{RefCell, RefMut};
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -255,134 +259,8 @@ impl Sim {
         }
     }
 
-    pub fn pin(&self, port: char, number: u32) -> (u32, u32, u32, bool) {
-        let base = GPIO[port as usize - 'A' as usize];
-        let two = |register: u32| self.stored(base + register) >> (2 * number) & 3;
-        let function = self.stored(base + 0x20 + 4 * (number / 8)) >> (4 * (number % 8)) & 0xF;
-        let level = self.stored(base + 0x14) >> number & 1 == 1;
-        (two(0), function, two(0x0C), level)
-    }
-
-    /// None where nothing drives the pin.
-    pub fn driven(&self, port: char, number: u32) -> Option<bool> {
-        match self.pin(port, number) {
-            (1, _, _, level) => Some(level),
-            (2, 1, _, _) => self.timer_output(port, number),
-            _ => None,
-        }
-    }
-
-    /// What TIM1 drives one of the six pins to; only while MOE is clear.
-    fn timer_output(&self, port: char, number: u32) -> Option<bool> {
-        let (channel, negated) = match (port, number) {
-            ('A', 8..=10) => (number - 8, false),
-            ('B', 13..=15) => (number - 13, true),
-            _ => return None,
-        };
-        let enable = 4 * channel + if negated { 2 } else { 0 };
-        let bdtr = self.stored(TIM1 + 0x44);
-        if bdtr & 1 << 15 != 0 || bdtr & 1 << 10 == 0 || self.stored(TIM1 + 0x20) >> enable & 1 == 0
-        {
-            return None;
-        }
-        let idle = 8 + 2 * channel + u32::from(negated);
-        Some(self.stored(TIM1 + 0x04) >> idle & 1 == 1)
-    }
-
-    /// Flash that was like this all along.
-    pub fn hold(&mut self, address: u32, value: u32) {
-        self.flash.insert(address, value);
-        self.cache.remove(&address);
-    }
-
     pub fn moe(&self) -> bool {
         self.stored(TIM1 + 0x44) & 1 << 15 != 0
-    }
-
-    fn en_gate(&self) -> bool {
-        self.driven('B', 12) == Some(true)
-    }
-
-    fn has_clock(&self, address: u32) -> bool {
-        let bit = |register: u32, bit: u32| self.stored(RCC + register) >> bit & 1 == 1;
-        match address & !0x3FF {
-            0x4002_0000 => bit(0x30, 0),
-            0x4002_0400 => bit(0x30, 1),
-            0x4002_0800 => bit(0x30, 2),
-            0x4002_0C00 => bit(0x30, 3),
-            TIM1 => bit(0x44, 0),
-            0x4001_2000 => match address & 0x3FF {
-                0..0x100 => bit(0x44, 8),
-                0x100..0x200 => bit(0x44, 9),
-                0x200..0x300 => bit(0x44, 10),
-                _ => bit(0x44, 8),
-            },
-            0x4001_3800 => bit(0x44, 14),
-            TIM3 => bit(0x40, 1),
-            TIM5 => bit(0x40, 3),
-            SPI3 => bit(0x40, 15),
-            UART4 => bit(0x40, 19),
-            PWR => bit(0x40, 28),
-            _ => true,
-        }
-    }
-
-    fn run_timer(&mut self) {
-        let Some(started) = self.started.filter(|_| !self.timer_dead) else {
-            return;
-        };
-        let top = u64::from(self.stored(TIM1 + 0x2C));
-        while (self.events_done + 1) * top <= self.now - started {
-            self.events_done += 1;
-            if self.repetitions == 0 {
-                self.repetitions = self.stored(TIM1 + 0x30);
-                let at = self.events_done * top;
-                let overflow = self.events_done % 2 == 1;
-                self.updates.push(Update { at, overflow });
-                self.update(started + at);
-            } else {
-                self.repetitions -= 1;
-            }
-        }
-        for (i, adc) in ADC.into_iter().enumerate() {
-            if self.conversion_ends[i].is_some_and(|end| end <= self.now) {
-                self.conversion_ends[i] = None;
-                // JL 0: the one channel is in JSQ4.
-                let channel = self.stored(adc + 0x38) >> 15 & 31;
-                let code = self.analog[channel as usize];
-                self.words.insert(adc + 0x3C, u32::from(code));
-                *self.words.entry(adc).or_default() |= 1 << 2;
-            }
-        }
-    }
-
-    fn update(&mut self, now: u64) {
-        *self.words.entry(TIM1 + 0x10).or_default() |= 1;
-        for channel in 0..3 {
-            self.active[channel as usize] = self.stored(TIM1 + 0x34 + 4 * channel);
-        }
-        if self.stored(TIM1 + 0x44) & 1 << 14 != 0 {
-            *self.words.entry(TIM1 + 0x44).or_default() |= 1 << 15;
-        }
-        if self.stored(TIM1 + 0x04) >> 4 & 7 == 2 {
-            self.trigger(now);
-        }
-    }
-
-    fn trigger(&mut self, now: u64) {
-        let divider = [2, 4, 6, 8][(self.stored(0x4001_2304) >> 16 & 3) as usize];
-        let mut any = false;
-        for (i, adc) in ADC.into_iter().enumerate() {
-            let cr2 = self.stored(adc + 0x08);
-            if cr2 & 1 != 0 && cr2 >> 20 & 3 == 1 && cr2 >> 16 & 0xF == 1 {
-                // 3 + 12 cycles of 84 MHz / divider.
-                self.conversion_ends[i] = Some(now + 15 * 2 * divider);
-                any = true;
-            }
-        }
-        if any {
-            self.triggers.push(now);
-        }
     }
 
     fn answer_to_read(&mut self, address: u32) -> u32 {
@@ -455,16 +333,6 @@ impl Sim {
             }
             _ => stored,
         }
-    }
-
-    fn top(&self) -> u64 {
-        u64::from(self.stored(TIM1 + 0x2C))
-    }
-
-    /// Ticks since the last time the count was 0.
-    pub fn position(&self) -> Option<u64> {
-        let started = self.started.filter(|_| !self.timer_dead)?;
-        Some((self.now - started) % (2 * self.top()))
     }
 
     fn take_write(&mut self, address: u32, value: u32) {
@@ -619,157 +487,6 @@ impl Sim {
         if !self.spi_dead {
             let now = self.now;
             self.answer = Some(self.drv.frame(value as u16, now));
-        }
-    }
-
-    fn flash_register(&mut self, offset: u32, value: u32) {
-        let address = FLASH + offset;
-        match offset {
-            0x00 => {
-                let off = self.stored(address) & 1 << 10 == 0;
-                if value & 1 << 12 != 0 {
-                    if off {
-                        self.cache.clear();
-                    } else {
-                        self.violation("the data cache is emptied while it is on");
-                    }
-                }
-                self.words.insert(address, value);
-            }
-            0x04 => {
-                self.keys.push(value);
-                let right = [0x4567_0123, 0xCDEF_89AB];
-                if self.keys.as_slice() == right {
-                    self.keys.clear();
-                    if !self.locked_for_good {
-                        *self.words.entry(FLASH + 0x10).or_default() &= !(1 << 31);
-                    }
-                } else if !right.starts_with(&self.keys) {
-                    self.locked_for_good = true;
-                }
-            }
-            0x0C => {
-                let kept = self.stored(address) & !value;
-                self.words.insert(address, kept);
-            }
-            0x10 => {
-                if self.stored(address) & 1 << 31 != 0 {
-                    return;
-                }
-                if self.now < self.busy_until {
-                    self.violation("FLASH_CR is written while the flash is busy");
-                }
-                self.words.insert(address, value & !(1 << 16));
-                if value & 1 << 16 != 0 {
-                    self.erase(value);
-                }
-            }
-            _ => {
-                self.words.insert(address, value);
-            }
-        }
-    }
-
-    fn erase(&mut self, cr: u32) {
-        if self.moe() {
-            self.violation("flash is erased with the bridge on");
-        }
-        if cr & 7 != 2 {
-            self.violation(format!("not a sector's erase: {cr:#x}"));
-        }
-        let sector = cr >> 3 & 0xF;
-        self.erased.push(sector);
-        if !(10..=11).contains(&sector) {
-            self.violation(format!("sector {sector} is erased"));
-            return;
-        }
-        let start = 0x0800_0000 + (sector - 4) * 0x2_0000;
-        self.flash
-            .retain(|at, _| !(start..start + 0x2_0000).contains(at));
-        // Data sheet, 128 KB at worst: 4, 2.6, 2 s.
-        let worst_s = [4.0, 2.6, 2.0, 0.0][(cr >> 8 & 3) as usize];
-        self.busy((worst_s * 168e6) as u64);
-    }
-
-    fn busy(&mut self, ticks: u64) {
-        self.busy_until = self.now + ticks;
-        self.longest_busy = self.longest_busy.max(ticks);
-        *self.words.entry(FLASH + 0x0C).or_default() |= self.flash_error;
-    }
-
-    fn program(&mut self, address: u32, value: u32) {
-        let cr = self.stored(FLASH + 0x10);
-        if cr & 1 << 31 != 0 || cr & 1 == 0 {
-            self.violation(format!("{address:#010x} is written without PG"));
-            return;
-        }
-        if !SETTINGS.contains(&address) {
-            self.violation(format!("{address:#010x} is programmed"));
-            return;
-        }
-        if cr >> 8 & 3 != 2 || self.now < self.busy_until || self.moe() {
-            self.violation("a word is programmed at the wrong size or time");
-        }
-        let held = self.flash.entry(address).or_insert(u32::MAX);
-        *held &= value;
-        self.programmed += 1;
-        self.busy(16 * 168);
-    }
-
-    fn check_laws(&mut self) {
-        for (port, number) in [('A', 13), ('A', 14)] {
-            if self.pin(port, number).0 != 2 || self.pin(port, number).1 != 0 {
-                self.violation(format!("P{port}{number} is taken from the debugger"));
-            }
-        }
-        let bridge = [
-            ('A', 8),
-            ('A', 9),
-            ('A', 10),
-            ('B', 13),
-            ('B', 14),
-            ('B', 15),
-        ];
-        for (port, number) in bridge {
-            let is_connected = self.pin(port, number).0 != 0;
-            if is_connected && !self.moe() && self.driven(port, number) != Some(false) {
-                self.violation(format!("P{port}{number} is connected and not held low"));
-            }
-            if self.en_gate() && !is_connected {
-                self.violation(format!("EN_GATE is high and P{port}{number} floats"));
-            }
-        }
-        for (port, number) in [
-            ('B', 10),
-            ('B', 11),
-            ('C', 6),
-            ('C', 7),
-            ('C', 8),
-            ('A', 7),
-            ('B', 0),
-            ('B', 1),
-        ] {
-            if self.pin(port, number).0 != 0 && self.driven(port, number) != Some(false) {
-                self.violation(format!("P{port}{number} is not low"));
-            }
-            if self.en_gate() && self.driven(port, number) != Some(false) {
-                self.violation(format!("EN_GATE is high and P{port}{number} is not low"));
-            }
-        }
-        if self.en_gate() && self.driven('C', 14) != Some(true) {
-            self.violation("EN_GATE is high and axis 1's driver may be selected");
-        }
-        if self.driven('C', 14) == Some(false) {
-            self.violation("axis 1's driver is selected");
-        }
-        let (cfgr, latency) = (self.stored(RCC + 8), self.stored(FLASH) & 7);
-        if cfgr & 3 == 2 {
-            if latency < 5 {
-                self.violation("168 MHz with too few wait states");
-            }
-            if cfgr >> 10 & 7 < 5 || cfgr >> 13 & 7 < 4 {
-                self.violation("168 MHz with APB1 above 42 MHz or APB2 above 84 MHz");
-            }
         }
     }
 }
