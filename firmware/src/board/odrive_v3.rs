@@ -27,6 +27,10 @@ pub const NAME: &str = "odrive_v3";
 /// Set by nFAULT's interrupt.
 static GATE_FAULT: AtomicBool = AtomicBool::new(false);
 
+/// What DMA writes into TIM1 where current ticks do not come. Not constant, so that it lies in RAM, from where an erase of
+/// flash does not hold it up.
+static OFF: AtomicU32 = AtomicU32::new(bridge::OFF);
+
 /// The chip's registers and flash.
 #[derive(Debug, Clone, Copy)]
 pub struct Chip(());
@@ -41,8 +45,8 @@ impl Registers for Chip {
 
     #[inline]
     fn write(&mut self, address: u32, value: u32) {
-        // SAFETY: as above. No register written there has the chip change memory that Rust owns: no DMA is set up, and
-        // flash is written only in the two sectors that no program lies in. A register that is changed by reading and
+        // SAFETY: as above. No register written there has the chip change memory that Rust owns: the one DMA
+        // stream reads a word of it, an atomic, and flash is written only in the two sectors that no program lies in. A register that is changed by reading and
         // writing it back belongs to one task.
         unsafe { (address as *mut u32).write_volatile(value) }
     }
@@ -80,7 +84,7 @@ pub struct Board {
 /// they are not. A gate driver that does not answer is found by the first look at it.
 pub fn set_up(_device: pac::Peripherals) -> Board {
     let mut chip = Chip(());
-    let reset = match odrive_v3::set_up(&mut chip) {
+    let reset = match odrive_v3::set_up(&mut chip, OFF.as_ptr() as u32) {
         Ok(reset) => reset,
         Err(error) => panic!("{}", error.text()),
     };

@@ -44,7 +44,8 @@ const TIM1_RCR: u32 = 0x4001_0030;
 const TIM1_CCR1: u32 = 0x4001_0034;
 const TIM1_CCR2: u32 = 0x4001_0038;
 const TIM1_CCR3: u32 = 0x4001_003C;
-const TIM1_BDTR: u32 = 0x4001_0044;
+/// TIM1_BDTR.
+pub(super) const BDTR: u32 = 0x4001_0044;
 const OSSI: u32 = 1 << 10;
 const OSSR: u32 = 1 << 11;
 const BKE: u32 = 1 << 12;
@@ -55,9 +56,9 @@ const AOE: u32 = 1 << 14;
 /// Ticks of 168 MHz: 119 ns, to which the gate driver adds about 104 ns.
 const DEAD_TIME: u32 = 20;
 
-/// MOE and AOE clear: all six outputs are held low, and stay so.
-const BDTR_OFF: u32 = DEAD_TIME | OSSI | OSSR | BKE | BKP;
-const BDTR_ARMED: u32 = BDTR_OFF | AOE;
+/// What BDTR holds while the bridge is off: MOE and AOE clear, all six outputs held low.
+pub const OFF: u32 = DEAD_TIME | OSSI | OSSR | BKE | BKP;
+const ARMED: u32 = OFF | AOE;
 
 /// Steps of a duty from 0 to 1; half a PWM period, ticks of 168 MHz.
 pub const PERIOD: u16 = 3500;
@@ -66,7 +67,7 @@ pub const PERIOD: u16 = 3500;
 /// that nFAULT's interrupt, a panic and a hard fault do before anything else.
 #[inline]
 pub fn off(registers: &mut impl Registers) {
-    registers.write(TIM1_BDTR, BDTR_OFF);
+    registers.write(BDTR, OFF);
 }
 
 /// Everything but the start: from here on TIM1 holds its outputs low.
@@ -114,7 +115,7 @@ pub fn set_duties(registers: &mut impl Registers, steps: [u16; 3]) {
 /// MOE rises at the next update, together with the duties that were set before.
 #[inline]
 pub fn arm(registers: &mut impl Registers) {
-    registers.write(TIM1_BDTR, BDTR_ARMED);
+    registers.write(BDTR, ARMED);
 }
 
 /// Forgets updates that came before.

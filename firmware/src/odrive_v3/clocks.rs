@@ -55,6 +55,7 @@ const UART4: u32 = 1 << 19;
 const PWR: u32 = 1 << 28;
 const RCC_APB2ENR: u32 = 0x4002_3844;
 const TIM1: u32 = 1 << 0;
+const TIM8: u32 = 1 << 1;
 const ADC1: u32 = 1 << 8;
 const ADC2: u32 = 1 << 9;
 const ADC3: u32 = 1 << 10;
@@ -123,12 +124,12 @@ pub fn set_up(registers: &mut impl Registers) -> Result<(), SetUpError> {
 /// [`super::pins::hold_off`].
 pub fn feed_peripherals(registers: &mut impl Registers) {
     registers.set(RCC_APB1ENR, TIM3 | TIM5 | SPI3 | UART4 | PWR);
-    registers.set(RCC_APB2ENR, TIM1 | ADC1 | ADC2 | ADC3 | SYSCFG);
+    registers.set(RCC_APB2ENR, TIM1 | TIM8 | ADC1 | ADC2 | ADC3 | SYSCFG);
     // A peripheral takes nothing in the first two cycles of its clock.
     registers.read(RCC_APB2ENR);
     registers.set(RCC_APB1RSTR, TIM3 | TIM5 | SPI3 | UART4);
     registers.clear(RCC_APB1RSTR, TIM3 | TIM5 | SPI3 | UART4);
-    registers.set(RCC_APB2RSTR, TIM1 | ADC_RESET);
-    registers.clear(RCC_APB2RSTR, TIM1 | ADC_RESET);
+    registers.set(RCC_APB2RSTR, TIM1 | TIM8 | ADC_RESET);
+    registers.clear(RCC_APB2RSTR, TIM1 | TIM8 | ADC_RESET);
     registers.read(RCC_APB2RSTR);
 }

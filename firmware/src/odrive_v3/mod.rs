@@ -9,6 +9,7 @@
 //! | [`clocks`] | 168 MHz from the crystal, wait states, clocks of the peripherals |
 //! | [`pins`] | every pin of the board, outputs off first |
 //! | [`bridge`] | TIM1: PWM, dead time, arming, off |
+//! | [`dead_man`] | TIM8: off where current ticks do not come |
 //! | [`current_sense`] | the three ADCs, triggered by TIM1 |
 //! | [`encoder`] | TIM3 as quadrature counter |
 //! | [`serial`] | UART4 |
@@ -24,6 +25,7 @@
 pub mod bridge;
 pub mod clocks;
 pub mod current_sense;
+pub mod dead_man;
 pub mod encoder;
 pub mod gate_driver;
 pub mod housekeeping;
@@ -102,6 +104,8 @@ pub enum SetUpError {
     Pll,
     /// The PWM timer does not update, or not at the end of its count at which currents are measured.
     PwmUpdate,
+    /// The bridge is not turned off where current ticks do not come.
+    DeadMan,
 }
 
 impl SetUpError {
@@ -113,6 +117,7 @@ impl SetUpError {
             Self::Crystal => "the 8 MHz crystal did not start: not this board, or damaged",
             Self::Pll => "no 168 MHz from the crystal: a crystal of 8 MHz is needed",
             Self::PwmUpdate => "TIM1 does not update where its count is highest",
+            Self::DeadMan => "TIM8 does not turn the bridge off",
         }
     }
 }
@@ -129,11 +134,12 @@ pub fn stopwatch(registers: &mut impl Registers) -> u32 {
 }
 
 /// Sets up all but the gate driver, which is still off afterwards, and starts the current tick's interrupt.
-/// Everything that drives something is off first, before anything that may fail or takes time.
+/// Everything that drives something is off first, before anything that may fail or takes time. At `off_address` in the
+/// chip's memory [`bridge::OFF`] lies for good, for [`dead_man`].
 ///
 /// # Errors
 /// Where there are no right clocks or no right PWM. All outputs are off then.
-pub fn set_up(registers: &mut impl Registers) -> Result<ResetReason, SetUpError> {
+pub fn set_up(registers: &mut impl Registers, off_address: u32) -> Result<ResetReason, SetUpError> {
     bridge::off(registers);
     pins::hold_off(registers);
     let reason = reset::take_reason(registers);
@@ -150,6 +156,7 @@ pub fn set_up(registers: &mut impl Registers) -> Result<ResetReason, SetUpError>
     serial::set_up(registers);
     spi::set_up(registers);
     current_sense::set_up(registers);
+    dead_man::start(registers, off_address)?;
     bridge::start(registers)?;
     current_sense::start(registers);
     Ok(reason)

@@ -3,7 +3,7 @@
 use core::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
 use super::supply::Variant;
-use super::{Registers, bridge, current_sense, encoder, stopwatch};
+use super::{Registers, bridge, current_sense, dead_man, encoder, stopwatch};
 use crate::board::PowerStage;
 use crate::power::{Bridge, Sensed, StageFacts};
 
@@ -45,6 +45,7 @@ impl<R: Registers> PowerStage for Stage<R> {
     /// Also true if the last tick decided too late for the period that it was to decide for.
     #[inline]
     fn acknowledge(&mut self) -> bool {
+        dead_man::check_in(&mut self.registers);
         current_sense::acknowledge(&mut self.registers);
         bridge::forget_update(&mut self.registers);
         let now = stopwatch(&mut self.registers);

@@ -8,7 +8,7 @@ use control::torque::modulation::{Bus, Modulator};
 use firmware::board::PowerStage;
 use firmware::odrive_v3::stage::Stage;
 use firmware::odrive_v3::supply::Variant;
-use firmware::odrive_v3::{Registers, bridge, current_sense};
+use firmware::odrive_v3::{Registers, bridge, current_sense, dead_man};
 use firmware::power::{Bridge, ODRIVE_V3_24V, Sensed};
 
 use crate::set_up::set_up;
@@ -223,7 +223,10 @@ fn fet_temperature_is_converted_between_the_ticks() {
 fn arming_brings_moe_with_the_duties_at_the_next_update_and_off_is_off_at_once() {
     let chip = set_up();
     let (_, mut stage) = stage(chip.clone());
+    stage.acknowledge();
+    let fired = chip.sim().dead_man_fired;
     for volts in [0.0, 3.0, 8.0] {
+        stage.acknowledge();
         chip.forget();
         stage.apply(duties(volts));
         let Bridge::On(asked) = duties(volts) else {
@@ -254,8 +257,12 @@ fn arming_brings_moe_with_the_duties_at_the_next_update_and_off_is_off_at_once()
         let writes = chip.writes();
         assert_eq!(writes.len(), 1);
         assert_eq!((writes[0].0, writes[0].1 >> 14 & 3), (BDTR, 0), "AOE, MOE");
-        chip.pass(10 * PERIOD);
+        for _ in 0..10 {
+            chip.pass(PERIOD);
+            stage.acknowledge();
+        }
         assert!(!chip.sim().moe(), "and stays off");
+        assert_eq!(chip.sim().dead_man_fired, fired);
     }
     chip.assert_no_violations();
 }
@@ -273,6 +280,7 @@ fn the_emergency_is_one_write_that_nothing_undoes_but_a_new_arming() {
     assert!(!chip.sim().moe());
     // A tick that was interrupted by it goes on, and so do later ones.
     for _ in 0..5 {
+        stage.acknowledge();
         stage.apply(duties(3.0));
         chip.pass(PERIOD);
         assert!(!chip.sim().moe());
@@ -289,6 +297,7 @@ fn the_emergency_is_one_write_that_nothing_undoes_but_a_new_arming() {
     bridge::off(&mut chip);
     chip.pass(2 * PERIOD);
     assert!(!chip.sim().moe(), "between AOE and the update");
+    stage.acknowledge();
     stage.apply(Bridge::Off);
     stage.apply(duties(3.0));
     chip.pass(PERIOD);
@@ -339,6 +348,7 @@ fn a_fault_at_any_moment_of_an_arming_tick_leaves_the_bridge_off() {
             countdown,
         };
         let mut stage = Stage::new(registers, Variant::Volts24, fault);
+        dead_man::check_in(&mut chip.clone());
         stage.apply(duties(3.0));
         chip.pass(2 * PERIOD);
         let came = countdown < 5;
@@ -407,4 +417,40 @@ fn what_is_sensed_is_this_periods() {
     }
     assert_eq!(stage.facts(), ODRIVE_V3_24V);
     assert_eq!(Stage::<Chip>::COUNTER_BITS, 16);
+}
+
+#[test]
+fn where_current_ticks_do_not_come_the_bridge_is_off_after_four_periods_with_no_programs_help() {
+    let mut chip = set_up();
+    let (_, mut stage) = stage(chip.clone());
+    for hangs_after in [1, 2, 100] {
+        next_period(&chip);
+        stage.acknowledge();
+        stage.apply(Bridge::Off);
+        stage.apply(duties(3.0));
+        let fired = chip.sim().dead_man_fired;
+        for _ in 0..hangs_after {
+            next_period(&chip);
+            assert!(chip.sim().moe());
+            stage.acknowledge();
+            stage.apply(duties(3.0));
+        }
+        assert_eq!(chip.sim().dead_man_fired, fired);
+        // No access from here on.
+        chip.pass(4 * PERIOD - 30);
+        assert!(chip.sim().moe());
+        chip.pass(60);
+        assert!(!chip.sim().moe());
+        assert_eq!(chip.word(BDTR), bridge::OFF);
+        chip.pass(1000 * PERIOD);
+        assert!(!chip.sim().moe());
+        // Nor does a tick that comes after all turn it on again, and it says that others were skipped.
+        next_period(&chip);
+        assert!(stage.acknowledge());
+        stage.apply(duties(3.0));
+        chip.pass(2 * PERIOD);
+        assert!(!chip.sim().moe());
+    }
+    bridge::off(&mut chip);
+    chip.assert_no_violations();
 }

@@ -3,11 +3,11 @@
 use firmware::odrive_v3::{self as board, SetUpError, gate_driver, pins, reset};
 use protocol::ResetReason;
 
-use crate::sim::{ADC, Chip, EXTI, FLASH, GPIO, IWDG, PWR, RCC, SPI3, TIM1, TIM3, UART4};
+use crate::sim::{ADC, Chip, EXTI, FLASH, GPIO, IWDG, OFF_WORD, PWR, RCC, SPI3, TIM1, TIM3, UART4};
 
 pub fn set_up() -> Chip {
     let mut chip = Chip::new();
-    board::set_up(&mut chip).unwrap();
+    board::set_up(&mut chip, OFF_WORD).unwrap();
     chip
 }
 
@@ -65,7 +65,7 @@ fn the_core_has_168_mhz_and_the_buses_what_they_may_have() {
 #[test]
 fn an_oscillator_that_does_not_start_is_an_error_and_leaves_everything_off() {
     type Damage = fn(&Chip);
-    let attempts: [(Damage, SetUpError); 5] = [
+    let attempts: [(Damage, SetUpError); 7] = [
         (|chip| chip.sim().crystal_dead = true, SetUpError::Crystal),
         (|chip| chip.sim().pll_dead = true, SetUpError::Pll),
         (
@@ -73,13 +73,16 @@ fn an_oscillator_that_does_not_start_is_an_error_and_leaves_everything_off() {
             SetUpError::InternalClock,
         ),
         (|chip| chip.sim().timer_dead = true, SetUpError::PwmUpdate),
+        (|chip| chip.sim().dma_dead = true, SetUpError::DeadMan),
+        // Something else lies in memory.
+        (|chip| chip.poke(OFF_WORD, 0), SetUpError::DeadMan),
         // Updates at the bottom of the count.
         (|chip| chip.sim().odd_silicon = true, SetUpError::PwmUpdate),
     ];
     for (damage, error) in attempts {
         let mut chip = Chip::new();
         damage(&chip);
-        assert_eq!(board::set_up(&mut chip), Err(error));
+        assert_eq!(board::set_up(&mut chip, OFF_WORD), Err(error));
         assert!(!error.text().is_empty());
         chip.assert_no_violations();
         assert!(!chip.sim().moe());
@@ -98,7 +101,7 @@ fn what_the_roms_bootloader_left_behind_is_undone_before_it_is_changed() {
     chip.poke(RCC, 0x0301_0083 & !(2 << 24) | 1 << 24);
     chip.poke(RCC + 0x08, 2 | 5 << 10 | 4 << 13);
     chip.poke(FLASH, 5);
-    board::set_up(&mut chip).unwrap();
+    board::set_up(&mut chip, OFF_WORD).unwrap();
     chip.assert_no_violations();
     assert_eq!(chip.word(RCC + 0x04) >> 6 & 0x1FF, 168);
     assert_eq!(chip.word(0xE000_ED08), 0x0800_0000, "vectors");
@@ -273,7 +276,7 @@ fn the_reset_reason_is_told_once() {
     ] {
         let mut chip = Chip::new();
         chip.poke(RCC + 0x74, flags);
-        assert_eq!(board::set_up(&mut chip), Ok(reason), "{flags:#x}");
+        assert_eq!(board::set_up(&mut chip, OFF_WORD), Ok(reason), "{flags:#x}");
         // A later reset by the pin alone would set only its flag.
         assert_eq!(chip.word(RCC + 0x74), 0);
         assert_eq!(reset::take_reason(&mut chip), ResetReason::Pin);

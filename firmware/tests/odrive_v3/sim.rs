@@ -27,6 +27,10 @@ pub const SPI3: u32 = 0x4000_3C00;
 pub const UART4: u32 = 0x4000_4C00;
 pub const IWDG: u32 = 0x4000_3000;
 pub const EXTI: u32 = 0x4001_3C00;
+pub const TIM8: u32 = 0x4001_0400;
+const DMA2_S1: u32 = 0x4002_6428;
+/// Where the word lies that turns the bridge off.
+pub const OFF_WORD: u32 = 0x2000_0010;
 const TIM5: u32 = 0x4000_0C00;
 const SETTINGS: std::ops::Range<u32> = 0x080C_0000..0x0810_0000;
 const OTP: u32 = 0x1FFF_7800;
@@ -59,6 +63,9 @@ pub struct Sim {
     pub pll_dead: bool,
     // TIM1
     started: Option<u64>,
+    dead_man_zero: u64,
+    pub dead_man_fired: u32,
+    pub dma_dead: bool,
     events_done: u64,
     repetitions: u32,
     /// A chip on which the repetition counter stands at 1 after a reset.
@@ -121,6 +128,9 @@ impl Chip {
             (FLASH + 0x10, 0x8000_0000),
             (TIM1 + 0x2C, 0xFFFF),
             (TIM3 + 0x2C, 0xFFFF),
+            (TIM8 + 0x2C, 0xFFFF),
+            // Memory, as the program fills it at its start.
+            (OFF_WORD, 20 | 0b11 << 10 | 0b11 << 12),
             (IWDG + 0x08, 0xFFF),
         ] {
             words.insert(address, value);
@@ -134,6 +144,9 @@ impl Chip {
             internal_dead: false,
             pll_dead: false,
             started: None,
+            dead_man_zero: 0,
+            dead_man_fired: 0,
+            dma_dead: false,
             events_done: 0,
             repetitions: 0,
             odd_silicon: false,
@@ -379,6 +392,7 @@ impl Sim {
                     self.started = None;
                 }
             }
+            a if a == TIM8 + 0x24 || a == TIM8 => self.dead_man_zero = self.now,
             // Flags are cleared by zeros.
             a if a == TIM1 + 0x10 || ADC.contains(&a) => {
                 self.words.insert(a, before & value);

@@ -1,6 +1,6 @@
 //! What is driven at the pins, and what must hold at every moment.
 
-use super::{FLASH, GPIO, PWR, RCC, SPI3, Sim, TIM1, TIM3, TIM5, UART4};
+use super::{FLASH, GPIO, PWR, RCC, SPI3, Sim, TIM1, TIM3, TIM5, TIM8, UART4};
 
 impl Sim {
     pub fn pin(&self, port: char, number: u32) -> (u32, u32, u32, bool) {
@@ -49,6 +49,8 @@ impl Sim {
             0x4002_0800 => bit(0x30, 2),
             0x4002_0C00 => bit(0x30, 3),
             TIM1 => bit(0x44, 0),
+            TIM8 => bit(0x44, 1),
+            0x4002_6400 => bit(0x30, 22),
             0x4001_2000 => match address & 0x3FF {
                 0..0x100 => bit(0x44, 8),
                 0x100..0x200 => bit(0x44, 9),

@@ -1,23 +1,22 @@
-//! TIM1's counter, and the conversions that it triggers. RM0090, 13 and 17.
+//! TIM1's counter, the conversions that it triggers, and TIM8, whose end DMA answers. RM0090, 10, 13 and 17.
 
-use super::{ADC, Sim, TIM1, Update};
+use super::{ADC, DMA2_S1, Sim, TIM1, TIM8, Update};
 
 impl Sim {
+    /// All that comes by itself, in its order, up to now.
     pub(super) fn run_timer(&mut self) {
-        let Some(started) = self.started.filter(|_| !self.timer_dead) else {
-            return;
-        };
-        let top = u64::from(self.stored(TIM1 + 0x2C));
-        while (self.events_done + 1) * top <= self.now - started {
-            self.events_done += 1;
-            if self.repetitions == 0 {
-                self.repetitions = self.stored(TIM1 + 0x30);
-                let at = self.events_done * top;
-                let overflow = self.events_done % 2 == 1;
-                self.updates.push(Update { at, overflow });
-                self.update(started + at);
+        loop {
+            let (tim1, tim8) = (self.next_tim1(), self.next_tim8());
+            let Some(next) = [tim1, tim8].into_iter().flatten().min() else {
+                break;
+            };
+            if next > self.now {
+                break;
+            }
+            if tim1 == Some(next) {
+                self.half_period(next);
             } else {
-                self.repetitions -= 1;
+                self.dead_man(next);
             }
         }
         for (i, adc) in ADC.into_iter().enumerate() {
@@ -29,6 +28,55 @@ impl Sim {
                 self.words.insert(adc + 0x3C, u32::from(code));
                 *self.words.entry(adc).or_default() |= 1 << 2;
             }
+        }
+    }
+
+    /// The next end of TIM1's count.
+    fn next_tim1(&self) -> Option<u64> {
+        let started = self.started.filter(|_| !self.timer_dead)?;
+        Some(started + (self.events_done + 1) * self.top())
+    }
+
+    fn half_period(&mut self, now: u64) {
+        self.events_done += 1;
+        if self.repetitions == 0 {
+            self.repetitions = self.stored(TIM1 + 0x30);
+            let at = self.events_done * self.top();
+            let overflow = self.events_done % 2 == 1;
+            self.updates.push(Update { at, overflow });
+            self.update(now);
+        } else {
+            self.repetitions -= 1;
+        }
+    }
+
+    /// The next end of TIM8's count.
+    fn next_tim8(&self) -> Option<u64> {
+        let ticks = u64::from(self.stored(TIM8 + 0x2C)) + 1;
+        let is_on = self.stored(TIM8) & 1 != 0 && self.has_clock(TIM8);
+        is_on.then_some(self.dead_man_zero + ticks * (u64::from(self.stored(TIM8 + 0x28)) + 1))
+    }
+
+    /// TIM8's update: a request to stream 1 of DMA2 where UDE is set.
+    fn dead_man(&mut self, now: u64) {
+        self.dead_man_zero = now;
+        let cr = self.stored(DMA2_S1);
+        // TIM8_UP is channel 7; memory to peripheral, by words, over and over, one each.
+        let is_right = cr >> 25 & 7 == 7
+            && cr >> 6 & 3 == 1
+            && cr >> 11 & 0xF == 0b1010
+            && cr >> 8 & 7 == 1
+            && cr & 1 == 1
+            && self.stored(DMA2_S1 + 4) == 1
+            && self.stored(DMA2_S1 + 0x14) & 1 << 2 == 0;
+        if self.stored(TIM8 + 0x0C) & 1 << 8 != 0
+            && is_right
+            && self.has_clock(DMA2_S1)
+            && !self.dma_dead
+        {
+            let word = self.stored(self.stored(DMA2_S1 + 0x0C));
+            self.words.insert(self.stored(DMA2_S1 + 8), word);
+            self.dead_man_fired += 1;
         }
     }
 
