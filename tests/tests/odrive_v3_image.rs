@@ -89,6 +89,23 @@ fn the_image_lies_below_the_settings() {
     );
 }
 
+#[test]
+fn the_word_that_dma_turns_the_bridge_off_with_lies_in_ram() {
+    let bytes = image();
+    let file = ElfFile32::<Endianness>::parse(&*bytes).unwrap();
+    let functions = functions(&file);
+    let mut found = functions
+        .iter()
+        .filter(|(name, _)| name.contains("5board3OFF"));
+    let (_, address) = found.next().expect("the word");
+    assert!((0x2000_0000..0x2002_0000).contains(address), "{address:#x}");
+    let data = file.section_by_name(".data").unwrap();
+    let at = (address - data.address()) as usize;
+    let word: [u8; 4] = data.data().unwrap()[at..at + 4].try_into().unwrap();
+    // Dead time 20, OSSI, OSSR, BKE, BKP; no AOE, no MOE.
+    assert_eq!(u32::from_le_bytes(word), 0x3C14);
+}
+
 /// Runs an image in the emulator, which has neither clocks nor pins nor timers of this chip but tells of every access to
 /// them, until it has told `enough`.
 fn accesses(image: &[u8], enough: impl Fn(&[String]) -> bool) -> Vec<String> {
