@@ -70,8 +70,8 @@ const LOOKS: u32 = 2000;
 /// clocks behind. The clock security system is on afterwards: when the crystal stops, TIM1's outputs are broken off
 /// and NMI comes.
 ///
-/// The supply is watched from here on (PVD, 2.9 V), because brown-out reset is off in a chip as it is delivered:
-/// [`super::settings_flash`] refuses to write below.
+/// The supply is watched from here on (PVD, 2.9 V), because brown-out reset is off in a chip as it is delivered, and only option
+/// bytes turn it on: [`super::settings_flash`] refuses to write below.
 ///
 /// # Errors
 /// If an oscillator or the PLL does not start; the chip runs from its internal oscillator then.

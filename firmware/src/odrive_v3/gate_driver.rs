@@ -38,7 +38,8 @@ const LOW_US: u32 = 1000;
 /// Ready after 10 ms.
 const READY_US: u32 = 20_000;
 
-/// Turns the gate drivers off and on, so that ours begins anew; takes 21 ms. The bridge is off meanwhile.
+/// Turns the gate drivers off and on, so that ours begins anew; takes 21 ms. The bridge is off meanwhile. It may not
+/// start while a phase lies above 8.5 V, which a motor that is turned fast can bring about.
 pub fn restart(registers: &mut impl Registers) {
     turn_off(registers);
     registers.wait_us(LOW_US);
