@@ -116,6 +116,8 @@ fn torque_is_within_one_percent_half_a_millisecond_after_the_haptic_tick() {
                 let step = step(&motor, n, current_a, 8192);
                 let given_a = step.commanded_nm / f64::from(motor.torque_constant_nm_a);
                 assert!(given_a / current_a > 0.8, "{given_a} A for {current_a}");
+                // One PWM period after the tick's count, whatever n is, torque begins to change.
+                assert!(step.torques_nm[0] / step.commanded_nm > 0.05);
                 // Of these, the first is the second of the twelve of half a millisecond.
                 for (period, torque_nm) in step.torques_nm.iter().enumerate().skip(11) {
                     let error = torque_nm / step.commanded_nm - 1.0;
