@@ -84,7 +84,7 @@ impl Loaded {
         let hold = |torque_nm: f64, duration_s: f64| driven.hold(torque_nm, duration_s);
         let report = self.scene.run_on(hold, self.control(), observe)?;
         let windings = Windings {
-            delivery: driven.delivery(),
+            delivery: electrical.delivery,
             told: self.told,
             passed: driven.passed(),
         };

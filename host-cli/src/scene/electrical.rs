@@ -6,7 +6,8 @@ use control::torque::brushed::BrushedLoop;
 use control::torque::current::CurrentLoop;
 use control::torque::voltage::VoltageDrive;
 use control::torque::{
-    BrushedMotor, FASTEST, InverterConfig, LIVELIEST, LoopConfig, ThreePhaseMotor, TorqueError,
+    BrushedMotor, Delivery, FASTEST, InverterConfig, LIVELIEST, LoopConfig, ThreePhaseMotor,
+    TorqueError,
 };
 use plant_sim::closed_loop::Scene;
 use plant_sim::driven::{Driven, DrivenError, TorqueDrive};
@@ -37,7 +38,9 @@ pub struct Electrical {
     sensing: CurrentSensing,
     supply: Supply,
     counts_per_rev: u32,
-    pub drive: TorqueDrive,
+    drive: TorqueDrive,
+    /// What the drive says of its torque.
+    pub delivery: Delivery,
 }
 
 impl Electrical {
@@ -116,11 +119,11 @@ pub fn read(
         current_max_a: positive("electrical.current_max_a", table.current_max_a)?,
         tolerance,
     };
-    let (winding, drive) = match table.drive {
+    let (winding, told, drive) = match table.drive {
         DriveName::Brushed => {
             let (motor, told) = brushed(table, believed)?;
             let drive = BrushedLoop::new(&told, &reckoned, &asked).map(TorqueDrive::Brushed);
-            (Winding::Brushed(motor), drive)
+            (Winding::Brushed(motor), Winding::Brushed(told), drive)
         }
         DriveName::Current | DriveName::Voltage => {
             let (motor, told) = three_phase(table, believed)?;
@@ -134,13 +137,13 @@ pub fn read(
                 VoltageDrive::new(&told, &encoder, &reckoned, asked.current_max_a, tolerance)
                     .map(TorqueDrive::Voltage)
             };
-            (Winding::ThreePhase(motor), drive)
+            (Winding::ThreePhase(motor), Winding::ThreePhase(told), drive)
         }
     };
     let drive = drive.map_err(|error| drive_named(error, &asked, pwm_period_s))?;
     plant_sim::electrical::Electrical::new(winding, inverter, sensing, supply)
         .map_err(|error| winding_named(error, table))?;
-    let delivery = drive.delivery();
+    let delivery = drive.delivery(&told, counts_per_rev, pwm_period_s);
     sampling.delay_s = delivery.delay_s;
     sampling.amplifier_tau_s = delivery.tau_s;
     sampling.torque_step_nm = delivery.torque_step_nm;
@@ -152,6 +155,7 @@ pub fn read(
         supply,
         counts_per_rev,
         drive,
+        delivery,
     })
 }
 
