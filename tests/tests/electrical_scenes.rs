@@ -208,9 +208,9 @@ impl Run {
     }
 }
 
-/// What is wrong with each of a number of random scenes of a kind, first changed by `change`.
-fn bad(kind: Kind, law: Law, change: impl Fn(&mut Run) + Sync) -> Vec<u64> {
-    (0..150)
+/// Which of a number of random scenes of a kind, first changed by `change`, give energy out.
+fn bad(kind: Kind, law: Law, runs: u64, change: impl Fn(&mut Run) + Sync) -> Vec<u64> {
+    (0..runs)
         .into_par_iter()
         .filter(|&number| {
             let mut run = Run::random(kind, law, number);
@@ -224,12 +224,12 @@ fn bad(kind: Kind, law: Law, change: impl Fn(&mut Run) + Sync) -> Vec<u64> {
 
 const KINDS: [Kind; 4] = [Kind::Wall, Kind::Spring, Kind::Release, Kind::Detent];
 
-/// Twelve hundred scenes, with dead time, steps, noise, cogging and a soft bus: no energy comes out but what cogging stores.
+/// Six hundred scenes, with dead time, steps, noise, cogging and a soft bus: no energy comes out but what cogging stores.
 #[test]
 fn a_governor_that_is_told_the_delivery_is_passive() {
     for law in [Law::Ledger, Law::Auto] {
         for kind in KINDS {
-            let bad = bad(kind, law, |_| ());
+            let bad = bad(kind, law, 75, |_| ());
             assert!(bad.is_empty(), "{law:?} {kind:?}: {bad:?}");
         }
     }
@@ -244,11 +244,12 @@ fn a_governor_that_is_not_told_gives_energy_out() {
         config.timing.amplifier_tau_s = 0.0;
         config.torque_step_nm = 0.0;
     };
-    for law in [Law::Ledger, Law::Auto] {
-        let bad: usize = KINDS.map(|kind| bad(kind, law, untold).len()).iter().sum();
-        println!("not told, {law:?}: {bad} of 600 give energy out");
-        assert!(bad >= 3, "{law:?}: {bad}");
-    }
+    let bad: usize = KINDS
+        .map(|kind| bad(kind, Law::Ledger, 150, untold).len())
+        .iter()
+        .sum();
+    println!("not told: {bad} of 600 give energy out");
+    assert!(bad >= 3, "{bad}");
 }
 
 /// The angles of a scene at its samples, on its own plant or on another, rad.
@@ -333,7 +334,7 @@ fn with_ideal_windings_it_is_the_plain_scene_with_the_delay_and_lag_that_are_tol
         ),
         (
             Winding::ThreePhase(voltage),
-            TorqueDrive::Voltage(VoltageDrive::new(&voltage, &encoder, &told, 2.0, 0.0).unwrap()),
+            TorqueDrive::Voltage(VoltageDrive::new(&voltage, &encoder, &told, 4.0, 0.0).unwrap()),
         ),
         (
             Winding::Brushed(brushed),
