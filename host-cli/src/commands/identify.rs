@@ -159,7 +159,14 @@ const TORQUE_NM: f64 = 0.2;
 
 /// The experiment on the plant of a scene.
 fn simulated(args: &Args, path: &Path) -> Result<Recording> {
-    let Loaded { scene, .. } = scene::load(path)?;
+    let loaded = scene::load(path)?;
+    if loaded.is_electrical() {
+        bail!(
+            "{}: [electrical] is not part of the experiment; accepted: a scene without it",
+            path.display()
+        );
+    }
+    let Loaded { scene, .. } = loaded;
     let limits = Limits {
         speed_rad_s: args.speed_max.unwrap_or(50.0),
         angle_rad: args.angle_max.unwrap_or(10.0),
