@@ -190,9 +190,11 @@ fn any_motor() -> impl Strategy<Value = Motor> {
     prop_oneof![three_phase_motors(), gimbal_motors(), brushed_motors()]
 }
 
-/// The largest current that the bus can drive through a motor, with some of it left for the loop, A.
+/// The largest step of current that is not held up by the bus, of which a loop asks (ω_c·L + R)·current at once, A.
 fn drivable_a(motor: &Motor) -> f64 {
-    (0.4 * 8.0 / f64::from(motor.resistance_ohm)).min(15.0)
+    let inductance_h = motor.d_inductance_h.max(motor.q_inductance_h);
+    let volts_a = 0.29 / PWM_S * f64::from(inductance_h) + f64::from(motor.resistance_ohm);
+    (9.0 / volts_a).min(15.0)
 }
 
 proptest! {
