@@ -12,7 +12,7 @@ use firmware::desk::{Desk, Identity};
 use firmware::settings;
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
-use firmware::{Commands, Link, Records};
+use firmware::{Commands, Link, Moves, Records};
 use protocol::{FromDevice, Message, decode};
 use rustix::fs::{Mode, OFlags, fcntl_setfl, open};
 use rustix::io::{read, write};
@@ -127,6 +127,7 @@ fn board_on(
     let link: &'static Link = Box::leak(Box::new(Link::new()));
     let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
     let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
+    let (move_sender, move_receiver) = Box::leak(Box::new(Moves::new())).split();
     let start = settings::start(&store.load(), 32).unwrap();
     let identity = Identity {
         firmware: "1.2.3",
@@ -135,7 +136,14 @@ fn board_on(
         counter_bits: 32,
         reset: protocol::ResetReason::Unknown,
     };
-    let mut ticker = Ticker::new(&start.settled, 0, link, command_receiver, record_sender);
+    let mut ticker = Ticker::new(
+        &start.settled,
+        0,
+        link,
+        command_receiver,
+        record_sender,
+        move_sender,
+    );
     let mut desk = Desk::new(
         identity,
         &start,
@@ -143,6 +151,7 @@ fn board_on(
         link,
         command_sender,
         record_receiver,
+        move_receiver,
     );
     let mut inbox = VecDeque::new();
     let mut counter = 0_i32;
