@@ -54,6 +54,9 @@ const LEAST_TICKS: f64 = 4.0;
 /// and no longer than this, s.
 const LONGEST_STEP_S: f64 = 5.0;
 
+/// So long a knob has time to come to rest before it is pushed, s.
+const LONGEST_WAIT_S: f64 = 10.0;
+
 /// A knob that has not stopped after so long never does, s.
 const LONGEST_COAST_S: f64 = 30.0;
 
@@ -231,8 +234,11 @@ impl Experiment {
     pub fn push(&self) -> Option<Push> {
         match self.stage {
             Stage::Over => None,
+            // No torque, so no guard.
             Stage::Rest => Some(Push {
                 most_ticks: 0,
+                coast_ticks: self.ticks(LONGEST_WAIT_S),
+                guard_counts: u32::MAX,
                 ..self.step(0.0, 0.0, 0.0, 0.0)
             }),
             Stage::BreakAway { upwards } => {

@@ -10,7 +10,7 @@ use protocol::{Changes, Event, Fault, Parameters, PushEnd, Refusal, Request, Sta
 
 use crate::commands::set;
 use crate::device::{Device, Identity, Moved, Outcome, Unasked};
-use crate::parameters::short;
+use crate::number::digits;
 use crate::{progress, words};
 
 /// The shortest sample period in which the line carries every tick at 115,200 baud, with some to spare, s.
@@ -44,7 +44,7 @@ pub fn record(
     if changes != Changes::default() {
         eprintln!(
             "for the time of the pushes: sample_period_s={} decimation=1",
-            short(before.with(&changes).sample_period_s)
+            digits(f64::from(before.with(&changes).sample_period_s), 4)
         );
         set::order(device, identity, &changes)?;
     }
