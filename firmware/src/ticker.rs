@@ -14,6 +14,7 @@ use control::tick::{Controller, Reason, Tick};
 
 use protocol::{Fault, PushEnd};
 
+use crate::drive::Power;
 use crate::{CommandReceiver, Link, LinkStatus, MoveSender, RecordSender};
 
 /// What the desk tells the tick.
@@ -42,6 +43,8 @@ pub struct Settled {
     pub plan: Plan,
     /// The most counts that the knob can move in one period.
     pub furthest_counts: u32,
+    /// Of a board with a power stage.
+    pub power: Option<Power>,
 }
 
 /// Whether torque is given, in one byte.
@@ -159,11 +162,10 @@ impl<'a> Ticker<'a> {
     /// before this one was served.
     #[inline]
     pub fn tick(&mut self, counter: u32, elapsed_s: f32, overran: bool) -> Output {
-        let number = self.link.tick.load(Relaxed).wrapping_add(1);
-        self.link.tick.store(number, Relaxed);
+        self.begin();
         let mut period_s = None;
         if self.commands.ready() {
-            period_s = self.obey();
+            period_s = self.obey(None);
         }
         let mut tick = self.controller.tick(counter, elapsed_s);
         let mut torque_nm = 0.0;
@@ -173,7 +175,7 @@ impl<'a> Ticker<'a> {
                 Some(fault) => self.fail(tick, fault),
             }
         } else if self.status.state == StateCode::Pushing {
-            torque_nm = self.push(&mut tick, overran);
+            torque_nm = self.push(&mut tick, overran.then_some(Fault::Overrun));
         }
         self.tell(&tick);
         Output {
@@ -182,16 +184,66 @@ impl<'a> Ticker<'a> {
         }
     }
 
+    /// One tick on a board with a power stage, which comes as often as `power` says to the bit; a new motor goes there
+    /// while the bridge is off. A `fault` found since the last tick counts in every state.
+    #[inline]
+    pub fn tick_with(&mut self, power: &mut Power, count: i32, fault: Option<Fault>) -> Output {
+        self.begin();
+        let elapsed_s = self.controller.plan().period_s();
+        let mut period_s = None;
+        if self.commands.ready() {
+            period_s = self.obey(Some(power));
+        }
+        let mut tick = self.controller.tick(count.cast_unsigned(), elapsed_s);
+        let mut torque_nm = 0.0;
+        let fault = match fault {
+            None if self.status.state == StateCode::Armed => {
+                fault_in(&tick, self.furthest_counts, false)
+            }
+            fault => fault,
+        };
+        match fault {
+            None if self.status.state == StateCode::Armed => torque_nm = tick.torque_nm,
+            _ if self.status.state == StateCode::Pushing => {
+                torque_nm = self.push(&mut tick, fault);
+            }
+            Some(fault) if self.status.state != StateCode::Fault => self.fail(tick, fault),
+            _ => {}
+        }
+        self.tell(&tick);
+        Output {
+            torque_nm,
+            period_s,
+        }
+    }
+
+    /// The state.
+    #[must_use]
+    #[inline]
+    pub fn state(&self) -> StateCode {
+        self.status.state
+    }
+
+    #[inline]
+    fn begin(&mut self) {
+        let number = self.link.tick.load(Relaxed).wrapping_add(1);
+        self.link.tick.store(number, Relaxed);
+    }
+
     /// Takes the next command.
     #[cold]
     #[inline(never)]
-    fn obey(&mut self) -> Option<f32> {
+    fn obey(&mut self, power: Option<&mut Power>) -> Option<f32> {
         let command = self.commands.dequeue()?;
         let mut period_s = None;
         let done = match (command, self.status.state) {
             // What is played was checked beside the parameters that are in force.
             (Command::Configure(_), StateCode::Pushing) => false,
             (Command::Configure(settled), state) => {
+                let off = matches!(state, StateCode::Disarmed | StateCode::Fault);
+                if let (Some(power), Some(new), true) = (power, settled.power, off) {
+                    *power = new;
+                }
                 let (old, new) = (self.controller.plan(), settled.plan);
                 // With the same period, Δ/T is the same where Δ is. Believed jitter, delay and
                 // lag are the plan's alone.
@@ -256,10 +308,10 @@ impl<'a> Ticker<'a> {
         self.record(tick, Occasion::Fault(fault));
     }
 
-    /// A tick of a push: the torque to give, Nm. Where the move finds no room the push is over.
+    /// A tick of a push: the torque to give, Nm. Where the move finds no room, or a fault was `found`, the push is over.
     #[cold]
     #[inline(never)]
-    fn push(&mut self, tick: &mut Tick, overran: bool) -> f32 {
+    fn push(&mut self, tick: &mut Tick, found: Option<Fault>) -> f32 {
         let Some(pushing) = &mut self.pushing else {
             return 0.0;
         };
@@ -270,7 +322,7 @@ impl<'a> Ticker<'a> {
             Step::Torque(torque_nm) => torque_nm,
             _ => 0.0,
         };
-        let mut fault = fault_in(tick, self.furthest_counts, overran);
+        let mut fault = found.or(fault_in(tick, self.furthest_counts, false));
         let mut room = true;
         match i16::try_from(tick.moved) {
             Ok(moved) => room = self.moves.enqueue(moved).is_ok(),

@@ -249,9 +249,9 @@ fn a_sampling_that_does_not_suit_is_changed_for_the_time_of_the_pushes() {
     let found: Value = serde_json::from_slice(&output.stdout).unwrap();
     finds(&found, &bench.device);
     let period_s = found["sample_period_s"].as_f64().unwrap();
-    assert!((period_s - 3e-4).abs() < 1e-9, "{period_s}");
+    assert!((period_s - 5e-4).abs() < 1e-9, "{period_s}");
     assert!(
-        said(&output).contains("sample_period_s=3e-4 decimation=1"),
+        said(&output).contains("sample_period_s=5e-4 decimation=1"),
         "{}",
         said(&output)
     );

@@ -13,8 +13,9 @@ use crate::device::{Device, Identity, Moved, Outcome, Unasked};
 use crate::number::digits;
 use crate::{progress, words};
 
-/// The shortest sample period in which the line carries every tick at 115,200 baud, with some to spare, s.
-const SHORTEST_PERIOD_S: f32 = 250e-6;
+/// The shortest sample period that is pushed with, s: at 115,200 baud the line carries twice as many ticks, and the delay
+/// of a power stage, 1/24 ms, is less than a tenth of it.
+const SHORTEST_PERIOD_S: f32 = 500e-6;
 
 /// What is late is to be late by this share of a period at most; more is not explained.
 const MOST_DELAY: f32 = 0.1;
