@@ -289,6 +289,15 @@ fn a_device_that_cannot_push_now_says_why() {
     ask(&port, &["set", "torque_max_nm=0"]);
     let output = run(&port, &["identify"]);
     refused(&port, &output, 1, &["torque_max_nm=0"], "disarmed");
+    ask(&port, &["set", "torque_max_nm=0.5", "speed_max_rad_s=20"]);
+    let output = run(&port, &["identify", "--speed-max", "21"]);
+    refused(
+        &port,
+        &output,
+        1,
+        &["--speed-max", "speed_max_rad_s=20"],
+        "disarmed",
+    );
     // Counts per turn that cannot be.
     ask(&port, &["set", "torque_max_nm=0.5", "counts_per_rev=4"]);
     let output = run(&port, &["identify"]);

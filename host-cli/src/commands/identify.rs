@@ -57,7 +57,7 @@ pub struct Args {
     /// A scene whose plant is pushed instead (TOML)
     #[arg(long, value_name = "SCENE.toml")]
     scene: Option<PathBuf>,
-    /// The fastest that it may turn, rad/s [default: 50]
+    /// The fastest that it may turn, rad/s [default: 50, on a device 0.8 of speed_max_rad_s if that is less]
     #[arg(long, value_name = "RAD/S", value_parser = number::positive, conflicts_with = "recording")]
     speed_max: Option<f64>,
     /// The furthest that it may turn from where it stands, either way, rad [default: 10]
@@ -225,7 +225,18 @@ fn pushed(
     before: &Parameters,
 ) -> Result<Recording> {
     let most_nm = f64::from(before.torque_max_nm);
-    let limits = limits(args, most_nm);
+    let mut limits = limits(args, most_nm);
+    // What moves faster than this is a fault.
+    let fastest = f64::from(before.speed_max_rad_s);
+    if args.speed_max.is_none() {
+        limits.speed_rad_s = limits.speed_rad_s.min(0.8 * fastest);
+    }
+    if limits.speed_rad_s > fastest {
+        bail!(
+            "--speed-max: the device takes more than speed_max_rad_s={} for a jump of the encoder; accepted: up to that",
+            parameters::short(before.speed_max_rad_s)
+        );
+    }
     if limits.torque_nm > most_nm || most_nm == 0.0 {
         bail!(
             "the device gives no more than torque_max_nm={}; accepted: --torque-max above 0 up to that",

@@ -46,7 +46,7 @@ const HOLD_S: f64 = 0.1;
 const MOVED_COUNTS: u32 = 3;
 
 /// Of the way that is left, pushes plan to use this share.
-const WAY: f64 = 0.65;
+const WAY: f64 = 0.5;
 
 /// A step lasts so many ticks or more, by choice of its height,
 const LEAST_TICKS: f64 = 4.0;

@@ -11,6 +11,7 @@ use protocol::{Changes, Event, Fault, Parameters, PushEnd, Refusal, Request, Sta
 use crate::commands::set;
 use crate::device::{Device, Identity, Moved, Outcome, Unasked};
 use crate::number::digits;
+use crate::parameters::short;
 use crate::{progress, words};
 
 /// The shortest sample period that is pushed with, s: at 115,200 baud the line carries twice as many ticks, and the delay
@@ -42,31 +43,30 @@ pub fn record(
         state => bail!("cannot push: the device is {}", words::state_in_full(state)),
     }
     let changes = sampling(before);
-    if changes != Changes::default() {
-        eprintln!(
-            "for the time of the pushes: sample_period_s={} decimation=1",
-            digits(f64::from(before.with(&changes).sample_period_s), 4)
-        );
-        set::order(device, identity, &changes)?;
+    if changes == Changes::default() {
+        return play_all(device, identity, limits).inspect_err(|_| disarm(device));
     }
-    let played = play_all(device, identity, limits);
+    eprintln!(
+        "for the time of the pushes: sample_period_s={} decimation=1",
+        digits(f64::from(before.with(&changes).sample_period_s), 4)
+    );
+    let played = set::order(device, identity, &changes)
+        .and_then(|_| play_all(device, identity, limits))
+        .inspect_err(|_| disarm(device));
     let back = Changes {
-        sample_period_s: changes.sample_period_s.map(|_| before.sample_period_s),
-        decimation: changes.decimation.map(|_| before.decimation),
+        sample_period_s: Some(before.sample_period_s),
+        decimation: Some(before.decimation),
         ..Changes::default()
     };
-    match played {
-        Ok(recording) => {
-            if back != Changes::default() {
-                set::order(device, identity, &back)?;
-            }
-            Ok(recording)
-        }
-        Err(error) => {
-            leave(device, back);
-            Err(error)
-        }
+    let is_back = device.order_to_the_end(Request::Set(back));
+    if !matches!(is_back, Ok(Outcome::Done { .. })) {
+        eprintln!(
+            "could not put back sample_period_s={} decimation={}; see `knob get`",
+            short(before.sample_period_s),
+            before.decimation
+        );
     }
+    played
 }
 
 /// How it has to sample for a good recording that the line carries, where it does not yet: every count, and a period that
@@ -83,20 +83,9 @@ fn sampling(before: &Parameters) -> Changes {
     }
 }
 
-/// Disarms a device in whatever state, after Ctrl-C too, and puts back what was changed.
-fn leave(device: &mut Device, back: Changes) {
-    // Where it is gone it ends the push by itself.
-    if device.order_to_the_end(Request::Disarm).is_err() {
-        return;
-    }
-    if back != Changes::default()
-        && !matches!(
-            device.order_to_the_end(Request::Set(back)),
-            Ok(Outcome::Done { .. })
-        )
-    {
-        eprintln!("sample_period_s and decimation could not be put back; see `knob get`");
-    }
+/// Breaks off what it is doing, after Ctrl-C too. A device that is in fault, or gone, has ended the push by itself.
+fn disarm(device: &mut Device) {
+    let _ = device.order_to_the_end(Request::Disarm);
 }
 
 fn play_all(device: &mut Device, identity: &Identity, limits: Limits) -> Result<Recording> {
