@@ -315,6 +315,35 @@ fn every_fault_ends_a_push_in_its_tick() {
     }
 }
 
+/// On an encoder so fine that no fault is found in it otherwise.
+#[test]
+fn a_move_that_cannot_be_told_ends_the_push() {
+    for (moved, state_then) in [
+        (32_767, State::Pushing),
+        (-32_768, State::Pushing),
+        (32_768, State::Fault(Fault::Guard)),
+        (-32_769, State::Fault(Fault::Guard)),
+    ] {
+        let mut twin = Twin::new(0, "test");
+        let fine = Changes {
+            counts_per_rev: Some(1_000_000),
+            ..Changes::default()
+        };
+        assert!(ask(&mut twin, 1, Request::Set(fine), 0).0.is_ok());
+        let endless = Push {
+            way_counts: u32::MAX,
+            speed_counts: u32::MAX,
+            guard_counts: u32::MAX,
+            ..PUSH
+        };
+        let (_, torque_nm, _) = ask(&mut twin, 2, Request::Push(endless), 0);
+        assert_ne!(torque_nm, 0.0);
+        let torque_nm = twin.tick(i32::cast_unsigned(moved), false);
+        assert_eq!(torque_nm != 0.0, state_then == State::Pushing, "{moved}");
+        assert_eq!(state(&mut twin), state_then, "{moved}");
+    }
+}
+
 #[test]
 fn disarm_breaks_a_push_off_at_once() {
     let mut twin = Twin::new(0, "test");
