@@ -1,6 +1,7 @@
 //! The part of the firmware that knows no board: it runs natively too, and is tested there.
 //!
 //! - [`ticker`]: what the tick's interrupt does, and the state disarmed, armed, fault;
+//! - [`commission`]: measuring a motor, in the current tick;
 //! - [`desk`]: what answers the host, below the tick;
 //! - [`power`]: what a power stage and the firmware hand each other;
 //! - [`settings`]: parameters as they come over the wire, checked and made into a plan;
@@ -13,6 +14,7 @@
 #![forbid(unsafe_code)]
 
 pub mod board;
+pub mod commission;
 pub mod desk;
 pub mod power;
 pub mod settings;

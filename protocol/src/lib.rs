@@ -8,10 +8,12 @@
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
+mod calibration;
 mod frame;
 mod message;
 mod parameters;
 
+pub use calibration::{Excitation, ExcitationEnd, PowerStage, Sums};
 pub use frame::{FRAME_MAX, FrameError, Frames, decode, encode};
 pub use message::{
     ClampReason, Event, Fault, Fields, FromDevice, Hello, Message, Refusal, Request, State, Status,
