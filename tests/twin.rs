@@ -38,6 +38,7 @@ impl<K: Keep> Twin<K> {
             git_hash,
             board: "emulated",
             counter_bits: 32,
+            reset: protocol::ResetReason::Unknown,
         };
         Self {
             ticker: Ticker::new(
@@ -57,7 +58,7 @@ impl<K: Keep> Twin<K> {
             ),
             inbox: VecDeque::new(),
             outbox: Vec::new(),
-            period_s: start.parameters.sample_period_s,
+            period_s: start.settings.parameters.sample_period_s,
         }
     }
 

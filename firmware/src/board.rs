@@ -1,5 +1,13 @@
 //! What a board owes the firmware. Each method states its obligation; the rest of the
 //! firmware relies on it and checks nothing twice.
+//!
+//! A board whose torque output is an amplifier of its own gives [`AngleCounter`], [`TorqueOutput`] and
+//! [`TickClock`]; one that drives the motor's windings itself gives [`PowerStage`] and [`Housekeeping`] instead. All give
+//! [`SerialOutput`].
+
+use protocol::ResetReason;
+
+use crate::power::{Bridge, Sensed, StageFacts};
 
 /// The angle sensor.
 pub trait AngleCounter {
@@ -38,4 +46,55 @@ pub trait TickClock {
 pub trait SerialOutput {
     /// Sends all, waiting for the line; called below the tick, which may interrupt it.
     fn write(&mut self, bytes: &[u8]);
+}
+
+/// A bridge with its current and voltage sensing and its encoder: read and driven once in each PWM
+/// period, by the interrupt of the highest priority but one.
+pub trait PowerStage {
+    /// Width of the encoder's counter, bits.
+    const COUNTER_BITS: u32;
+
+    /// What it is made of. The same at every call.
+    fn facts(&self) -> StageFacts;
+
+    /// Acknowledges the period's interrupt, and says whether another was due before this one
+    /// was served.
+    fn acknowledge(&mut self) -> bool;
+
+    /// What was sampled in the middle of the low sides' conduction at this period's start, and the
+    /// encoder now. Never waits.
+    fn sensed(&mut self) -> Sensed;
+
+    /// [`Bridge::On`] is in force for the whole of the next period; [`Bridge::Off`] at once. Never waits.
+    fn apply(&mut self, bridge: Bridge);
+
+    /// True if the gate driver's fault line fell since the last call. The outputs are off by then: its
+    /// interrupt, of the highest priority, has put them off, and [`Bridge::On`] does nothing until this was
+    /// called.
+    fn gate_fault(&mut self) -> bool;
+}
+
+/// What a board with a power stage does slowly, 10 to 100 times a second, below the tick.
+pub trait Housekeeping {
+    /// The temperature of the switches, °C; not finite if the sensor does not answer.
+    fn temperature_c(&mut self) -> f32;
+
+    /// Reads the gate driver back.
+    ///
+    /// # Errors
+    /// Its two status words, if it reports a fault, does not answer, or does not hold what it was
+    /// set up with.
+    fn gate_driver(&mut self) -> Result<(), [u16; 2]>;
+
+    /// Sets the gate driver up anew. Called only while the bridge is off; may take 50 ms.
+    ///
+    /// # Errors
+    /// As [`Self::gate_driver`].
+    fn restart_gate_driver(&mut self) -> Result<(), [u16; 2]>;
+
+    /// Feeds the watchdog. Called only when tick, serial line and slow work have all checked in.
+    fn feed_watchdog(&mut self);
+
+    /// Why the chip started. The same at every call.
+    fn reset_reason(&self) -> ResetReason;
 }

@@ -7,13 +7,13 @@ use control::config::Law;
 use control::tick::Reason;
 use protocol::{
     Changes, ClampReason, Event, FRAME_MAX, Fields, Frames, FromDevice, Hello, Message, Name,
-    Parameters, Refusal, Request, State, Status, Stored, Subscription, Telemetry, ToDevice,
-    VERSION, decode, encode,
+    Refusal, Request, ResetReason, Snapshot, State, Status, Stored, Subscription, Telemetry,
+    ToDevice, VERSION, decode, encode,
 };
 
-use crate::settings::{self, HIGHEST, LOWEST, Start};
+use crate::settings::{self, DEFAULT_SETTINGS, HIGHEST, LOWEST, Settings, Start};
 use crate::store::{Keep, SaveError};
-use crate::ticker::{Command, Fault, Occasion, Record, StateCode};
+use crate::ticker::{Command, Occasion, Record, StateCode};
 use crate::{CommandSender, Link, RecordReceiver};
 
 /// Who this is.
@@ -27,6 +27,8 @@ pub struct Identity {
     pub board: &'static str,
     /// Width of its encoder counter.
     pub counter_bits: u32,
+    /// Why it started.
+    pub reset: ResetReason,
 }
 
 /// Records sent before the host is listened to again: on a slow line the tick may tell faster than
@@ -39,17 +41,21 @@ struct Pending {
     sequence: u16,
     /// Commands taken once this one is.
     taken: u16,
-    /// The parameters that are in force then.
-    parameters: Parameters,
+    /// The settings that are in force then.
+    settings: Settings,
+    /// They are kept then, too.
+    save: bool,
 }
 
 /// The desk, and all that it owns.
 pub struct Desk<'a, K> {
     identity: Identity,
-    parameters: Parameters,
+    settings: Settings,
     stored: Stored,
-    /// The parameters that the store would give at the next start, where it is known to.
-    kept: Option<Parameters>,
+    /// The settings that the store would give at the next start, where it is known to.
+    kept: Option<Settings>,
+    /// Of the last fault since the start.
+    snapshot: Option<Snapshot>,
     store: K,
     subscription: Subscription,
     pending: Option<Pending>,
@@ -76,9 +82,10 @@ impl<'a, K: Keep> Desk<'a, K> {
     ) -> Self {
         Self {
             identity,
-            parameters: start.parameters,
+            settings: start.settings,
             stored: start.stored,
-            kept: (start.stored == Stored::Last).then_some(start.parameters),
+            kept: (start.stored == Stored::Last).then_some(start.settings),
+            snapshot: None,
             store,
             subscription: Subscription::default(),
             pending: None,
@@ -138,7 +145,9 @@ impl<'a, K: Keep> Desk<'a, K> {
         match code {
             StateCode::Disarmed => State::Disarmed,
             StateCode::Armed => State::Armed,
-            StateCode::Fault => State::Fault(fault(self.link.fault())),
+            StateCode::Fault => State::Fault(self.link.fault()),
+            StateCode::Calibrating => State::Calibrating,
+            StateCode::Pushing => State::Pushing,
         }
     }
 
@@ -152,9 +161,12 @@ impl<'a, K: Keep> Desk<'a, K> {
         let message = if status.refused {
             Message::Refused(Refusal::State(self.state_of(status.state)))
         } else {
-            self.parameters = pending.parameters;
-            Message::Done {
-                tick: self.link.taken_at.load(Relaxed),
+            self.settings = pending.settings;
+            match if pending.save { self.save() } else { Ok(()) } {
+                Ok(()) => Message::Done {
+                    tick: self.link.taken_at.load(Relaxed),
+                },
+                Err(refusal) => Message::Refused(refusal),
             }
         };
         send(pending.sequence, message, write);
@@ -171,19 +183,21 @@ impl<'a, K: Keep> Desk<'a, K> {
                 highest: HIGHEST,
             }),
             Request::Hello { .. } => Message::Refused(Refusal::Version { accepted: VERSION }),
-            Request::Get => Message::Parameters(self.parameters),
+            Request::Get => Message::Parameters(self.settings.parameters),
             Request::Set(changes) => match self.settle(changes) {
-                Ok((command, parameters)) => {
-                    return self.command(sequence, command, parameters, write);
+                Ok((command, settings)) => {
+                    return self.command(sequence, command, settings, false, write);
                 }
                 Err(refusal) => Message::Refused(refusal),
             },
-            Request::Arm => return self.command(sequence, Command::Arm, self.parameters, write),
+            Request::Arm => {
+                return self.command(sequence, Command::Arm, self.settings, false, write);
+            }
             Request::Disarm => {
-                return self.command(sequence, Command::Disarm, self.parameters, write);
+                return self.command(sequence, Command::Disarm, self.settings, false, write);
             }
             Request::Clear => {
-                return self.command(sequence, Command::Clear, self.parameters, write);
+                return self.command(sequence, Command::Clear, self.settings, false, write);
             }
             Request::Save => match self.save() {
                 Ok(()) => Message::Done {
@@ -209,28 +223,50 @@ impl<'a, K: Keep> Desk<'a, K> {
                 dropped: self.link.dropped.load(Relaxed),
                 bad_frames: self.bad_frames,
                 stored: self.stored,
+                reset: self.identity.reset,
             }),
+            Request::ResetSettings => match self.defaults() {
+                Ok(command) => {
+                    return self.command(sequence, command, DEFAULT_SETTINGS, true, write);
+                }
+                Err(refusal) => Message::Refused(refusal),
+            },
+            Request::Motor => Message::Motor(self.settings.motor),
+            Request::SetMotor(changes) => {
+                let motor = self.settings.motor.with(changes);
+                match (self.state(), settings::motor(&motor)) {
+                    (State::Disarmed, Ok(())) => {
+                        self.settings.motor = motor;
+                        Message::Done {
+                            tick: self.link.tick.load(Relaxed),
+                        }
+                    }
+                    (State::Disarmed, Err(refusal)) => Message::Refused(refusal),
+                    (state, _) => Message::Refused(Refusal::State(state)),
+                }
+            }
+            Request::LastFault => Message::Snapshot(self.snapshot),
+            Request::Calibrate(_) => Message::Refused(Refusal::NoPowerStage),
+            Request::Push(_) => Message::Refused(Refusal::Push),
         };
         send(sequence, answer, write);
     }
 
     /// Checks a set of changes as a whole.
-    fn settle(&self, changes: &Changes) -> Result<(Command, Parameters), Refusal> {
-        let parameters = self.parameters.with(changes);
+    fn settle(&self, changes: &Changes) -> Result<(Command, Settings), Refusal> {
+        let now = self.settings.parameters;
+        let parameters = now.with(changes);
         let settled = settings::settle(&parameters, self.identity.counter_bits)?;
         if self.state() == State::Armed {
             for (name, changed) in [
                 (
                     Name::SamplePeriodS,
-                    parameters.sample_period_s != self.parameters.sample_period_s,
+                    parameters.sample_period_s != now.sample_period_s,
                 ),
-                (
-                    Name::Decimation,
-                    parameters.decimation != self.parameters.decimation,
-                ),
+                (Name::Decimation, parameters.decimation != now.decimation),
                 (
                     Name::CountsPerRev,
-                    parameters.counts_per_rev != self.parameters.counts_per_rev,
+                    parameters.counts_per_rev != now.counts_per_rev,
                 ),
             ] {
                 if changed {
@@ -238,10 +274,27 @@ impl<'a, K: Keep> Desk<'a, K> {
                 }
             }
         }
-        Ok((Command::Configure(settled), parameters))
+        let settings = Settings {
+            parameters,
+            ..self.settings
+        };
+        Ok((Command::Configure(settled), settings))
     }
 
-    /// Keeps the parameters in force, unless they are kept already: a request that is repeated costs
+    /// What brings the defaults back.
+    fn defaults(&self) -> Result<Command, Refusal> {
+        if self.stored == Stored::NoStorage {
+            return Err(Refusal::NoStorage);
+        }
+        match self.state() {
+            State::Disarmed => {}
+            state => return Err(Refusal::State(state)),
+        }
+        settings::settle(&DEFAULT_SETTINGS.parameters, self.identity.counter_bits)
+            .map(Command::Configure)
+    }
+
+    /// Keeps the settings in force, unless they are kept already: a request that is repeated costs
     /// no flash. Nothing is under way with the tick now, so disarmed it stays until this is done.
     fn save(&mut self) -> Result<(), Refusal> {
         if self.stored == Stored::NoStorage {
@@ -251,13 +304,13 @@ impl<'a, K: Keep> Desk<'a, K> {
             State::Disarmed => {}
             state => return Err(Refusal::State(state)),
         }
-        if self.kept == Some(self.parameters) {
+        if self.kept == Some(self.settings) {
             return Ok(());
         }
-        match self.store.save(&self.parameters) {
+        match self.store.save(&self.settings) {
             Ok(()) => {
                 self.stored = Stored::Last;
-                self.kept = Some(self.parameters);
+                self.kept = Some(self.settings);
                 Ok(())
             }
             Err(SaveError::NoStorage) => Err(Refusal::NoStorage),
@@ -274,7 +327,8 @@ impl<'a, K: Keep> Desk<'a, K> {
         &mut self,
         sequence: u16,
         command: Command,
-        parameters: Parameters,
+        settings: Settings,
+        save: bool,
         write: &mut impl FnMut(&[u8]),
     ) {
         let taken = self.link.status().taken.wrapping_add(1);
@@ -282,7 +336,8 @@ impl<'a, K: Keep> Desk<'a, K> {
             self.pending = Some(Pending {
                 sequence,
                 taken,
-                parameters,
+                settings,
+                save,
             });
         } else {
             // One command at a time is under way, so there is room; if not, nothing was done.
@@ -298,10 +353,24 @@ impl<'a, K: Keep> Desk<'a, K> {
         let tick = &record.tick;
         let armed = record.state == StateCode::Armed;
         let message = match record.occasion {
-            Occasion::Fault(cause) => Message::Event(Event::Fault {
-                tick: record.number,
-                fault: fault(cause),
-            }),
+            Occasion::Fault(fault) => {
+                self.snapshot = Some(Snapshot {
+                    tick: record.number,
+                    fault,
+                    count: tick.count,
+                    moved: tick.moved,
+                    torque_nm: tick.torque_nm,
+                    current_b_a: 0.0,
+                    current_c_a: 0.0,
+                    bus_v: 0.0,
+                    temperature_c: 0.0,
+                    gate_driver: [0; 2],
+                });
+                Message::Event(Event::Fault {
+                    tick: record.number,
+                    fault,
+                })
+            }
             Occasion::Clamp => Message::Event(Event::Clamp {
                 tick: record.number,
                 reason: clamp_reason(tick.reason),
@@ -347,14 +416,6 @@ fn send(sequence: u16, message: Message<'_>, write: &mut impl FnMut(&[u8])) {
     // No message is longer than a frame: the tests encode the longest of each kind.
     if let Ok(frame) = encode(&FromDevice { sequence, message }, &mut buffer) {
         write(frame);
-    }
-}
-
-fn fault(fault: Fault) -> protocol::Fault {
-    match fault {
-        Fault::Overrun => protocol::Fault::Overrun,
-        Fault::EncoderJump { counts } => protocol::Fault::EncoderJump { counts },
-        Fault::TorqueNotFinite => protocol::Fault::TorqueNotFinite,
     }
 }
 

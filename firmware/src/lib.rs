@@ -24,7 +24,8 @@ pub mod ticker;
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use heapless::spsc::{Consumer, Producer, Queue};
-use ticker::{Command, Fault, Record, StateCode};
+use protocol::Fault;
+use ticker::{Command, Record, StateCode};
 
 const COMMANDS: usize = 2;
 const RECORDS: usize = 64;
@@ -55,9 +56,9 @@ pub struct Link {
     taken_at: AtomicU32,
     /// By the tick: records that found no room.
     dropped: AtomicU32,
-    /// By the tick, before it says that it is in fault: which, and how many counts.
+    /// By the tick, before it says that it is in fault: which, and the bits of its number.
     fault: AtomicU32,
-    fault_counts: AtomicU32,
+    fault_value: AtomicU32,
     /// By the desk: one record every so many ticks; 0: none.
     every_ticks: AtomicU32,
     /// By the desk: 1 if changes of the clamp's reason are wanted.
@@ -84,7 +85,7 @@ impl Link {
             taken_at: AtomicU32::new(0),
             dropped: AtomicU32::new(0),
             fault: AtomicU32::new(0),
-            fault_counts: AtomicU32::new(0),
+            fault_value: AtomicU32::new(0),
             every_ticks: AtomicU32::new(0),
             clamp_events: AtomicU32::new(0),
         }
@@ -97,23 +98,49 @@ impl Link {
     }
 
     fn set_fault(&self, fault: Fault) {
-        let (code, counts) = match fault {
+        let (code, value) = match fault {
             Fault::Overrun => (0, 0),
-            Fault::EncoderJump { counts } => (1, counts),
+            Fault::EncoderJump { counts } => (1, counts.cast_unsigned()),
             Fault::TorqueNotFinite => (2, 0),
+            Fault::CurrentOverrun => (3, 0),
+            Fault::GateDriver => (4, 0),
+            Fault::OverCurrent { current_a } => (5, current_a.to_bits()),
+            Fault::CurrentSense => (6, 0),
+            Fault::OverVoltage { bus_v } => (7, bus_v.to_bits()),
+            Fault::UnderVoltage { bus_v } => (8, bus_v.to_bits()),
+            Fault::OverTemperature { temperature_c } => (9, temperature_c.to_bits()),
+            Fault::OverSpeed { speed_rad_s } => (10, speed_rad_s.to_bits()),
+            Fault::Encoder => (11, 0),
+            Fault::Guard => (12, 0),
         };
-        self.fault_counts.store(counts as u32, Relaxed);
+        self.fault_value.store(value, Relaxed);
         self.fault.store(code, Relaxed);
     }
 
     /// The last fault.
     fn fault(&self) -> Fault {
+        let value = self.fault_value.load(Relaxed);
+        let number = f32::from_bits(value);
         match self.fault.load(Relaxed) {
             0 => Fault::Overrun,
             1 => Fault::EncoderJump {
-                counts: self.fault_counts.load(Relaxed) as i32,
+                counts: value.cast_signed(),
             },
-            _ => Fault::TorqueNotFinite,
+            2 => Fault::TorqueNotFinite,
+            3 => Fault::CurrentOverrun,
+            4 => Fault::GateDriver,
+            5 => Fault::OverCurrent { current_a: number },
+            6 => Fault::CurrentSense,
+            7 => Fault::OverVoltage { bus_v: number },
+            8 => Fault::UnderVoltage { bus_v: number },
+            9 => Fault::OverTemperature {
+                temperature_c: number,
+            },
+            10 => Fault::OverSpeed {
+                speed_rad_s: number,
+            },
+            11 => Fault::Encoder,
+            _ => Fault::Guard,
         }
     }
 

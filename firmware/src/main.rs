@@ -23,6 +23,7 @@ mod app {
     use firmware::ticker::Ticker;
     use firmware::{Commands, Link, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
+    use protocol::ResetReason;
     use stm32f4xx_hal::pac::Interrupt;
 
     use crate::board::{self, Board, Clock, Encoder, Rest, SerialIn, SerialOut, Storage, Torque};
@@ -73,12 +74,13 @@ mod app {
             git_hash: env!("GIT_HASH"),
             board: board::NAME,
             counter_bits: Encoder::BITS,
+            reset: ResetReason::Unknown,
         };
         // The defaults are tested natively to settle; a board that cannot run them must not run.
         let Ok(start) = settings::start(&storage.load(), Encoder::BITS) else {
             panic!("the default parameters are refused");
         };
-        clock.set_period_s(start.parameters.sample_period_s);
+        clock.set_period_s(start.settings.parameters.sample_period_s);
         let ticker = Ticker::new(
             &start.settled,
             encoder.counter(),

@@ -7,7 +7,7 @@ use control::ConfigError;
 use control::config::{Believed, Config, Interval, Law, Timing};
 use control::encoder::EncoderConfig;
 use control::plan::Plan;
-use protocol::{Name, Parameters, Refusal, Shape, Stored};
+use protocol::{Drive, Motor, MotorName, Name, Parameters, Refusal, Shape, Stored};
 
 use crate::store::Loaded;
 use crate::ticker::Settled;
@@ -82,6 +82,66 @@ pub const DEFAULTS: Parameters = Parameters {
     torque_step_nm: 0.0,
 };
 
+/// The least that each number of a motor may be.
+pub const MOTOR_LOWEST: Motor = Motor {
+    drive: Drive::None,
+    pole_pairs: 1,
+    resistance_ohm: 1e-3,
+    d_inductance_h: 1e-7,
+    q_inductance_h: 1e-7,
+    torque_constant_nm_a: 1e-4,
+    current_max_a: 0.0,
+    reversed: false,
+    zero_turns: -1.0,
+    offset_b_codes: 0.0,
+    offset_c_codes: 0.0,
+};
+
+/// The most.
+pub const MOTOR_HIGHEST: Motor = Motor {
+    drive: Drive::Brushed,
+    pole_pairs: 100,
+    resistance_ohm: 1e3,
+    d_inductance_h: 1.0,
+    q_inductance_h: 1.0,
+    torque_constant_nm_a: 10.0,
+    current_max_a: 30.0,
+    reversed: true,
+    zero_turns: 1.0,
+    offset_b_codes: 4095.0,
+    offset_c_codes: 4095.0,
+};
+
+/// No motor: nothing is driven until it is calibrated or set.
+pub const NO_MOTOR: Motor = Motor {
+    drive: Drive::None,
+    pole_pairs: 1,
+    resistance_ohm: 1.0,
+    d_inductance_h: 1e-3,
+    q_inductance_h: 1e-3,
+    torque_constant_nm_a: 0.05,
+    current_max_a: 0.0,
+    reversed: false,
+    zero_turns: 0.0,
+    offset_b_codes: 2048.0,
+    offset_c_codes: 2048.0,
+};
+
+/// All that is kept for the next start.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Of the rendering, and of what is believed.
+    pub parameters: Parameters,
+    /// Of the motor.
+    pub motor: Motor,
+}
+
+/// What a device starts with where nothing is stored.
+pub const DEFAULT_SETTINGS: Settings = Settings {
+    parameters: DEFAULTS,
+    motor: NO_MOTOR,
+};
+
 const fn between(low: f32, high: f32) -> protocol::Interval {
     protocol::Interval { low, high }
 }
@@ -91,8 +151,8 @@ const fn between(low: f32, high: f32) -> protocol::Interval {
 pub struct Start {
     /// Where the parameters come from.
     pub stored: Stored,
-    /// The parameters.
-    pub parameters: Parameters,
+    /// The settings.
+    pub settings: Settings,
     /// What the tick uses.
     pub settled: Settled,
 }
@@ -102,24 +162,65 @@ pub struct Start {
 /// # Errors
 /// Not even the defaults are accepted with a counter of `counter_bits` bits.
 pub fn start(loaded: &Loaded, counter_bits: u32) -> Result<Start, Refusal> {
-    let (stored, parameters, settled) = match settle(&loaded.parameters, counter_bits) {
-        Ok(settled) => (loaded.stored, loaded.parameters, settled),
-        Err(refusal) => {
-            let name = match refusal {
-                Refusal::Value { name, .. }
-                | Refusal::Reversed { name, .. }
-                | Refusal::Together { name, .. } => name,
-                other => return Err(other),
-            };
-            let settled = settle(&DEFAULTS, counter_bits)?;
-            (Stored::Refused { name }, DEFAULTS, settled)
+    let checked = motor(&loaded.settings.motor)
+        .and_then(|()| settle(&loaded.settings.parameters, counter_bits));
+    let refusal = match checked {
+        Ok(settled) => {
+            return Ok(Start {
+                stored: loaded.stored,
+                settings: loaded.settings,
+                settled,
+            });
         }
+        Err(refusal) => refusal,
+    };
+    let stored = match refusal {
+        Refusal::Value { name, .. }
+        | Refusal::Reversed { name, .. }
+        | Refusal::Together { name, .. } => Stored::Refused { name },
+        Refusal::MotorValue { name, .. } => Stored::RefusedMotor { name },
+        other => return Err(other),
     };
     Ok(Start {
         stored,
-        parameters,
-        settled,
+        settings: DEFAULT_SETTINGS,
+        settled: settle(&DEFAULTS, counter_bits)?,
     })
+}
+
+/// One number of a motor.
+type MotorNumber = fn(&Motor) -> f32;
+
+const MOTOR_NUMBERS: [(MotorName, MotorNumber); 9] = [
+    (MotorName::PolePairs, |m| m.pole_pairs as f32),
+    (MotorName::ResistanceOhm, |m| m.resistance_ohm),
+    (MotorName::DInductanceH, |m| m.d_inductance_h),
+    (MotorName::QInductanceH, |m| m.q_inductance_h),
+    (MotorName::TorqueConstantNmA, |m| m.torque_constant_nm_a),
+    (MotorName::CurrentMaxA, |m| m.current_max_a),
+    (MotorName::ZeroTurns, |m| m.zero_turns),
+    (MotorName::OffsetBCodes, |m| m.offset_b_codes),
+    (MotorName::OffsetCCodes, |m| m.offset_c_codes),
+];
+
+/// Checks a motor.
+///
+/// # Errors
+/// The first value that is not accepted, with what would be.
+pub fn motor(given: &Motor) -> Result<(), Refusal> {
+    for (name, of) in MOTOR_NUMBERS {
+        let (given, lowest, highest) = (of(given), of(&MOTOR_LOWEST), of(&MOTOR_HIGHEST));
+        // Written so that NaN fails.
+        if !(lowest <= given && given <= highest) {
+            return Err(Refusal::MotorValue {
+                name,
+                given,
+                lowest,
+                highest,
+            });
+        }
+    }
+    Ok(())
 }
 
 /// Checks parameters for a board whose encoder counter has `counter_bits` bits, and makes them

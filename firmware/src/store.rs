@@ -7,7 +7,7 @@
 //! | 4 | number of the save, counted up |
 //! | 2 | version of what follows |
 //! | 2 | its length n |
-//! | n | the parameters, by `postcard` |
+//! | n | the parameters and the motor, by `postcard` |
 //! | 4 | CRC-32C of all of the above |
 //!
 //! Numbers are little endian; the rest of the slot stays blank (all ones). The record with the highest number of
@@ -21,12 +21,13 @@
 
 use crc::{CRC_32_ISCSI, Crc, Table};
 use embedded_storage::nor_flash::NorFlash;
-use protocol::{Parameters, Stored};
+use protocol::Stored;
 
-use crate::settings::DEFAULTS;
+use crate::settings::{DEFAULT_SETTINGS, Settings};
 
-/// Of what is stored. To be raised whenever [`Parameters`] or their meaning changes.
-pub const VERSION: u16 = 1;
+/// Of what is stored. To be raised whenever [`Settings`] or their meaning changes.
+/// Version 1 had no motor.
+pub const VERSION: u16 = 2;
 
 /// Bytes of a slot.
 pub const SLOT: usize = 256;
@@ -39,15 +40,15 @@ const CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISCSI);
 
 /// What keeps settings.
 pub trait Keep {
-    /// The parameters to start with. Defaults where there are none that can be used.
+    /// The settings to start with. Defaults where there are none that can be used.
     fn load(&mut self) -> Loaded;
 
-    /// Keeps parameters for the next start. Called only while the motor is off: everything may stand
+    /// Keeps settings for the next start. Called only while the motor is off: everything may stand
     /// still meanwhile, on the STM32F405 for up to 2 s where a sector is erased.
     ///
     /// # Errors
     /// Why they are not kept. What was kept before still is.
-    fn save(&mut self, parameters: &Parameters) -> Result<(), SaveError>;
+    fn save(&mut self, settings: &Settings) -> Result<(), SaveError>;
 }
 
 /// What a device starts with.
@@ -55,8 +56,8 @@ pub trait Keep {
 pub struct Loaded {
     /// Where the parameters come from.
     pub stored: Stored,
-    /// The parameters, not yet checked: a firmware may accept less than an earlier one did.
-    pub parameters: Parameters,
+    /// The settings, not yet checked: a firmware may accept less than an earlier one did.
+    pub settings: Settings,
 }
 
 impl Loaded {
@@ -65,7 +66,7 @@ impl Loaded {
     pub const fn defaults(stored: Stored) -> Self {
         Self {
             stored,
-            parameters: DEFAULTS,
+            settings: DEFAULT_SETTINGS,
         }
     }
 }
@@ -79,7 +80,7 @@ pub enum SaveError {
     Flash,
     /// Something else was read back than was written.
     ReadBack,
-    /// The parameters do not fit a slot.
+    /// The settings do not fit a slot.
     TooLong,
 }
 
@@ -92,7 +93,7 @@ impl Keep for NoStore {
         Loaded::defaults(Stored::NoStorage)
     }
 
-    fn save(&mut self, _: &Parameters) -> Result<(), SaveError> {
+    fn save(&mut self, _: &Settings) -> Result<(), SaveError> {
         Err(SaveError::NoStorage)
     }
 }
@@ -106,10 +107,10 @@ impl<K: Keep> Keep for Option<K> {
         }
     }
 
-    fn save(&mut self, parameters: &Parameters) -> Result<(), SaveError> {
+    fn save(&mut self, settings: &Settings) -> Result<(), SaveError> {
         match self {
-            Some(store) => store.save(parameters),
-            None => NoStore.save(parameters),
+            Some(store) => store.save(settings),
+            None => NoStore.save(settings),
         }
     }
 }
@@ -228,13 +229,13 @@ impl<F: NorFlash> Store<F> {
             return Ok(Loaded::defaults(Stored::Version { found: version }));
         }
         Ok(match postcard::take_from_bytes(content) {
-            Ok((parameters, [])) => Loaded {
+            Ok(((parameters, motor), [])) => Loaded {
                 stored: if Self::is_older(&survey, newest) {
                     Stored::Older
                 } else {
                     Stored::Last
                 },
-                parameters,
+                settings: Settings { parameters, motor },
             },
             _ => Loaded::defaults(Stored::Damaged),
         })
@@ -246,7 +247,7 @@ impl<F: NorFlash> Keep for Store<F> {
         self.try_load().unwrap_or(Loaded::defaults(Stored::Damaged))
     }
 
-    fn save(&mut self, parameters: &Parameters) -> Result<(), SaveError> {
+    fn save(&mut self, settings: &Settings) -> Result<(), SaveError> {
         let survey = self.survey().map_err(|_| SaveError::Flash)?;
         let (slot, number) = match (survey.newest, survey.blank) {
             (Some(newest), Some(blank)) => (blank, newest.number.wrapping_add(1)),
@@ -257,7 +258,7 @@ impl<F: NorFlash> Keep for Store<F> {
             (None, _) => (0, 0),
         };
         let mut bytes = [0xFF; SLOT];
-        let length = write_record(&mut bytes, number, parameters).ok_or(SaveError::TooLong)?;
+        let length = write_record(&mut bytes, number, settings).ok_or(SaveError::TooLong)?;
         let written = bytes
             .get(..length.next_multiple_of(F::WRITE_SIZE))
             .ok_or(SaveError::TooLong)?;
@@ -302,9 +303,11 @@ fn record(slot: &[u8; SLOT]) -> Option<Record<'_>> {
 }
 
 /// Writes a record and returns its length; None where it does not fit.
-fn write_record(slot: &mut [u8; SLOT], number: u32, parameters: &Parameters) -> Option<usize> {
+fn write_record(slot: &mut [u8; SLOT], number: u32, settings: &Settings) -> Option<usize> {
     let (head, rest) = slot.split_first_chunk_mut::<HEAD>()?;
-    let content = postcard::to_slice(parameters, rest).ok()?.len();
+    let content = postcard::to_slice(&(settings.parameters, settings.motor), rest)
+        .ok()?
+        .len();
     let [n0, n1, n2, n3] = number.to_le_bytes();
     let [v0, v1] = VERSION.to_le_bytes();
     let [l0, l1] = u16::try_from(content).ok()?.to_le_bytes();

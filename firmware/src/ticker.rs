@@ -10,6 +10,8 @@ use core::sync::atomic::Ordering::Relaxed;
 use control::plan::Plan;
 use control::tick::{Controller, Reason, Tick};
 
+use protocol::Fault;
+
 use crate::{CommandReceiver, Link, LinkStatus, RecordSender};
 
 /// What the desk tells the tick.
@@ -48,6 +50,10 @@ pub enum StateCode {
     Armed = 1,
     /// No torque until cleared.
     Fault = 2,
+    /// The motor is being measured.
+    Calibrating = 3,
+    /// A torque without a spring.
+    Pushing = 4,
 }
 
 impl StateCode {
@@ -55,23 +61,11 @@ impl StateCode {
         match word & 0xFF {
             0 => Self::Disarmed,
             1 => Self::Armed,
+            3 => Self::Calibrating,
+            4 => Self::Pushing,
             _ => Self::Fault,
         }
     }
-}
-
-/// What put torque to zero.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Fault {
-    /// A tick was not done before the next was due.
-    Overrun,
-    /// The count moved further in one period than the knob can turn.
-    EncoderJump {
-        /// How far.
-        counts: i32,
-    },
-    /// The torque was not a finite number.
-    TorqueNotFinite,
 }
 
 /// What a tick has to tell.
@@ -90,7 +84,7 @@ pub struct Record {
 }
 
 /// Why a tick is told of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Occasion {
     /// Telemetry is due.
     Telemetry,
@@ -217,7 +211,11 @@ impl<'a> Ticker<'a> {
                 self.status.state = StateCode::Disarmed;
                 true
             }
-            (Command::Arm | Command::Disarm, StateCode::Fault) | (Command::Clear, _) => false,
+            (
+                Command::Arm | Command::Disarm,
+                StateCode::Fault | StateCode::Calibrating | StateCode::Pushing,
+            )
+            | (Command::Clear, _) => false,
         };
         let number = self.link.tick.load(Relaxed);
         self.link.taken_at.store(number, Relaxed);

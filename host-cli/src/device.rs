@@ -10,7 +10,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Result;
 use protocol::{
-    FRAME_MAX, Parameters, Refusal, Request, State, Status, Subscription, ToDevice, VERSION, encode,
+    FRAME_MAX, Parameters, Refusal, Request, Snapshot, State, Status, Subscription, ToDevice,
+    VERSION, encode,
 };
 
 pub use error::DeviceError;
@@ -110,6 +111,14 @@ impl Device {
         }
     }
 
+    /// How things stood at its last fault.
+    pub fn last_fault(&mut self) -> Result<Option<Snapshot>> {
+        match self.request(Request::LastFault)?.answer {
+            Answer::Snapshot(snapshot) => Ok(snapshot),
+            _ => Err(self.unexpected(Request::LastFault)),
+        }
+    }
+
     /// Has it do something.
     pub fn order(&mut self, request: Request) -> Result<Outcome> {
         let Answered { answer, repeated } = self.request(request)?;
@@ -187,7 +196,7 @@ impl Device {
 
     fn request(&mut self, request: Request) -> Result<Answered> {
         let within = match request {
-            Request::Save => SAVED_WITHIN,
+            Request::Save | Request::ResetSettings => SAVED_WITHIN,
             _ => ANSWER_WITHIN,
         };
         self.exchange(request, within, CtrlC::Ends)
@@ -278,5 +287,11 @@ fn asked(request: Request) -> &'static str {
         Request::Save => "save",
         Request::Subscribe(_) => "subscribe",
         Request::Status => "status",
+        Request::ResetSettings => "reset-settings",
+        Request::Motor => "motor",
+        Request::SetMotor(_) => "set motor",
+        Request::LastFault => "last fault",
+        Request::Calibrate(_) => "calibrate",
+        Request::Push(_) => "push",
     }
 }

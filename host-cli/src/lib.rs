@@ -64,6 +64,9 @@ enum Command {
     /// Keep the parameters for the next start.
     #[command(after_help = "Example:\n  knob save")]
     Save(orders::Args),
+    /// Go back to the defaults, motor included: in force at once, and at the next start.
+    #[command(after_help = "Example:\n  knob get > mine.txt; knob reset-settings")]
+    ResetSettings(orders::Args),
     Log(commands::log::Args),
     Identify(commands::identify::Args),
 }
@@ -93,6 +96,7 @@ pub fn run() -> ExitCode {
         Command::Disarm(args) => orders::run(&args, Order::Disarm),
         Command::Clear(args) => orders::run(&args, Order::Clear),
         Command::Save(args) => orders::run(&args, Order::Save),
+        Command::ResetSettings(args) => orders::run(&args, Order::ResetSettings),
         Command::Log(args) => commands::log::run(&args),
         Command::Identify(args) => commands::identify::run(&args),
     };

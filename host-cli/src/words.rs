@@ -1,6 +1,6 @@
 //! What a device says, in words.
 
-use protocol::{ClampReason, Fault, Name, Parameters, Refusal, State, Stored};
+use protocol::{ClampReason, Fault, Name, Parameters, Refusal, ResetReason, State, Stored};
 
 use crate::parameters::{short, value};
 
@@ -10,6 +10,8 @@ pub fn state(state: State) -> &'static str {
         State::Disarmed => "disarmed",
         State::Armed => "armed",
         State::Fault(_) => "fault",
+        State::Calibrating => "calibrating",
+        State::Pushing => "pushing",
     }
 }
 
@@ -27,6 +29,16 @@ pub fn fault_code(fault: Fault) -> &'static str {
         Fault::Overrun => "overrun",
         Fault::EncoderJump { .. } => "encoder-jump",
         Fault::TorqueNotFinite => "torque-not-finite",
+        Fault::CurrentOverrun => "current-overrun",
+        Fault::GateDriver => "gate-driver",
+        Fault::OverCurrent { .. } => "over-current",
+        Fault::CurrentSense => "current-sense",
+        Fault::OverVoltage { .. } => "over-voltage",
+        Fault::UnderVoltage { .. } => "under-voltage",
+        Fault::OverTemperature { .. } => "over-temperature",
+        Fault::OverSpeed { .. } => "over-speed",
+        Fault::Encoder => "encoder",
+        Fault::Guard => "guard",
     }
 }
 
@@ -38,6 +50,29 @@ pub fn fault(fault: Fault) -> String {
             "the encoder moved {counts} counts in one period, more than speed_max_rad_s allows"
         ),
         Fault::TorqueNotFinite => "the torque was not a finite number".into(),
+        Fault::CurrentOverrun => "a current tick was not done before the next was due".into(),
+        Fault::GateDriver => {
+            "the gate driver reported a fault, or lost what was written to it".into()
+        }
+        Fault::OverCurrent { current_a } => {
+            format!("a current of {} A is beyond what is safe", short(current_a))
+        }
+        Fault::CurrentSense => {
+            "the current converters cannot be believed: stuck, or currents that do not add up"
+                .into()
+        }
+        Fault::OverVoltage { bus_v } => format!("the bus rose to {} V", short(bus_v)),
+        Fault::UnderVoltage { bus_v } => format!("the bus fell to {} V", short(bus_v)),
+        Fault::OverTemperature { temperature_c } => format!(
+            "the switches are at {} °C, or their sensor does not answer",
+            short(temperature_c)
+        ),
+        Fault::OverSpeed { speed_rad_s } => format!(
+            "the knob turned at {} rad/s, faster than it may",
+            short(speed_rad_s)
+        ),
+        Fault::Encoder => "the count does not follow the motor".into(),
+        Fault::Guard => "a push or a calibration went further than it may".into(),
     }
 }
 
@@ -119,6 +154,23 @@ pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> S
         Refusal::NoStorage => {
             format!("this board ({board}) keeps no settings; set them anew after each start")
         }
+        Refusal::NoPowerStage => format!("this board ({board}) drives no motor itself"),
+        Refusal::NoMotor => {
+            "the motor is not known yet; `knob calibrate` first, or `knob set` its values".into()
+        }
+        Refusal::MotorValue {
+            name,
+            given,
+            lowest,
+            highest,
+        } => format!(
+            "{}: {} is out of range; accepted: {} to {}",
+            name.as_str(),
+            short(given),
+            short(lowest),
+            short(highest)
+        ),
+        Refusal::Push => "this push is out of range, or this device cannot push".into(),
         Refusal::NotKept => "the device's flash could not be erased or written; \
              what was saved before is kept"
             .into(),
@@ -134,7 +186,7 @@ pub fn stored_code(stored: Stored) -> &'static str {
         Stored::Older => "older",
         Stored::Version { .. } => "version",
         Stored::Damaged => "damaged",
-        Stored::Refused { .. } => "refused",
+        Stored::Refused { .. } | Stored::RefusedMotor { .. } => "refused",
     }
 }
 
@@ -154,11 +206,39 @@ pub fn stored(stored: Stored) -> String {
         Stored::Damaged => "what was saved is damaged; \
              it began with defaults, and `knob save` replaces it"
             .into(),
-        Stored::Refused { name } => format!(
-            "what was saved is not accepted by this firmware ({}); \
-             it began with defaults, and `knob save` replaces it",
-            name.as_str()
-        ),
+        Stored::Refused { name } => not_accepted(name.as_str()),
+        Stored::RefusedMotor { name } => not_accepted(name.as_str()),
+    }
+}
+
+fn not_accepted(name: &str) -> String {
+    format!(
+        "what was saved is not accepted by this firmware ({name}); \
+         it began with defaults, and `knob save` replaces it"
+    )
+}
+
+/// Why a device started, in a word, as scripts see it.
+pub fn reset_code(reason: ResetReason) -> &'static str {
+    match reason {
+        ResetReason::Unknown => "unknown",
+        ResetReason::PowerOn => "power-on",
+        ResetReason::BrownOut => "brown-out",
+        ResetReason::Pin => "pin",
+        ResetReason::Software => "software",
+        ResetReason::Watchdog => "watchdog",
+    }
+}
+
+/// Why a device started, in words.
+pub fn reset(reason: ResetReason) -> &'static str {
+    match reason {
+        ResetReason::Unknown => "not told by this board",
+        ResetReason::PowerOn => "power came on",
+        ResetReason::BrownOut => "the supply sagged",
+        ResetReason::Pin => "the reset pin",
+        ResetReason::Software => "the program asked for it",
+        ResetReason::Watchdog => "the watchdog was not fed",
     }
 }
 

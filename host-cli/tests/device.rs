@@ -10,12 +10,11 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use firmware::settings::DEFAULTS;
+use firmware::settings::{DEFAULTS, Settings};
 use firmware::store::{Keep, Loaded, SaveError};
 use native::{Fate, Port, board, board_that_keeps, board_with};
 use protocol::{
-    FRAME_MAX, Frames, FromDevice, Hello, Message, Parameters, Refusal, Stored, ToDevice, decode,
-    encode,
+    FRAME_MAX, Frames, FromDevice, Hello, Message, Refusal, Stored, ToDevice, decode, encode,
 };
 use rustix::fs::{FlockOperation, Mode, OFlags, flock, open};
 use serde_json::{Value, json};
@@ -361,14 +360,14 @@ impl Keep for Memory {
         *self.0.lock().unwrap()
     }
 
-    fn save(&mut self, parameters: &Parameters) -> Result<(), SaveError> {
+    fn save(&mut self, settings: &Settings) -> Result<(), SaveError> {
         let mut kept = self.0.lock().unwrap();
-        if parameters.decimation == 13 {
+        if settings.parameters.decimation == 13 {
             return Err(SaveError::ReadBack);
         }
         *kept = Loaded {
             stored: Stored::Last,
-            parameters: *parameters,
+            settings: *settings,
         };
         Ok(())
     }
@@ -418,7 +417,7 @@ fn defaults_for_want_of_good_settings_are_told() {
         assert!(text.contains(part) && text.contains("defaults"), "{text}");
     }
     let memory = Memory::with(Stored::Last);
-    memory.0.lock().unwrap().parameters.torque_max_nm = 1e9;
+    memory.0.lock().unwrap().settings.parameters.torque_max_nm = 1e9;
     let (port, _) = board_that_keeps(memory);
     let info = ask(&port, &["info"]);
     assert_eq!(info["settings"], "refused");

@@ -16,10 +16,13 @@ mod parameters;
 pub use calibration::{Excitation, ExcitationEnd, PowerStage, Sums};
 pub use frame::{FRAME_MAX, FrameError, Frames, decode, encode};
 pub use message::{
-    ClampReason, Event, Fault, Fields, FromDevice, Hello, Message, Refusal, Request, State, Status,
-    Stored, Subscription, Telemetry, ToDevice,
+    Calibrate, CalibrationEnd, ClampReason, Event, Fault, Fields, FromDevice, Hello, MOVES_MAX,
+    Message, Moves, Push, Refusal, Request, ResetReason, Snapshot, Stage, State, Status, Stored,
+    Subscription, Telemetry, ToDevice,
 };
-pub use parameters::{Changes, Interval, Law, Name, Parameters, Shape};
+pub use parameters::{
+    Changes, Drive, Interval, Law, Motor, MotorChanges, MotorName, Name, Parameters, Shape,
+};
 
 /// The version of the protocol; the first message of a host names its own.
-pub const VERSION: u16 = 3;
+pub const VERSION: u16 = 4;

@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use crate::parameters::{Changes, Law, Name, Parameters};
+use crate::parameters::{Changes, Drive, Law, Motor, MotorChanges, MotorName, Name, Parameters};
 
 /// A frame from the host.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -37,6 +37,53 @@ pub enum Request {
     Subscribe(Subscription),
     /// Answer: [`Message::Status`].
     Status,
+    /// Forget what was saved: the defaults, motor included, are in force at once and at the next start. Only while
+    /// disarmed; takes as long as [`Request::Save`].
+    ResetSettings,
+    /// Answer: [`Message::Motor`].
+    Motor,
+    /// All or none, only while disarmed. Answer: as to [`Request::Set`].
+    SetMotor(MotorChanges),
+    /// Answer: [`Message::Snapshot`], of the last fault since the start.
+    LastFault,
+    /// Measure the motor. Only while disarmed, and only on a board with a power stage. Answer: done once it has
+    /// begun; then come [`Event::Calibrating`] and [`Event::Measured`], and in the end [`Event::Calibrated`].
+    /// [`Request::Disarm`] breaks it off.
+    Calibrate(Calibrate),
+    /// Give a torque without a spring and tell how the knob moves. Only while disarmed. Answer: done once it has
+    /// begun; then come [`Message::Moves`]. [`Request::Disarm`] breaks it off.
+    Push(Push),
+}
+
+/// What to measure, and how far it may go.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Calibrate {
+    /// The kind of motor; of the two for three phases, either.
+    pub drive: Drive,
+    /// The largest current, A.
+    pub current_max_a: f32,
+}
+
+/// A torque without a spring: it rises evenly from `from_nm` to `to_nm`, is held, and ends for good as soon as one of
+/// the limits is reached.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Push {
+    /// Torque of the first tick, Nm.
+    pub from_nm: f32,
+    /// Torque of tick `rise_ticks` and after, Nm.
+    pub to_nm: f32,
+    /// In so many ticks, 0 for a step.
+    pub rise_ticks: u32,
+    /// The torque ends after so many ticks.
+    pub most_ticks: u32,
+    /// It ends when the count has moved so far, either way.
+    pub way_counts: u32,
+    /// It ends when a tick moved the count by so many, either way.
+    pub speed_counts: u32,
+    /// The recording ends, and with it the push, after so many ticks with the torque off.
+    pub coast_ticks: u32,
+    /// A knob that is further from where it was than this, either way, is a fault, counts.
+    pub guard_counts: u32,
 }
 
 /// What a host wants to be told unasked.
@@ -112,6 +159,71 @@ pub enum Message<'a> {
     Telemetry(Telemetry),
     /// Unasked.
     Event(Event),
+    /// Answer: the motor.
+    Motor(Motor),
+    /// Answer: the last fault since the start, if there was one.
+    Snapshot(Option<Snapshot>),
+    /// Unasked: how a push goes on.
+    #[serde(borrow)]
+    Moves(Moves<'a>),
+}
+
+/// The most bytes of [`Moves::moves`] that fit a frame.
+pub const MOVES_MAX: usize = 224;
+
+/// Counts of successive ticks of a push.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Moves<'a> {
+    /// The number of the first of these ticks, from the push's first one as 0.
+    pub first: u32,
+    /// The number of the tick from which on there is no torque, as far as it is known.
+    pub released: Option<u32>,
+    /// The push is over with the last of these.
+    pub last: bool,
+    /// By how much each tick found the count moved: two bytes each, signed, the low one first.
+    pub moves: &'a [u8],
+}
+
+/// How things stood in the tick that found a fault. What a board does not measure is 0.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Snapshot {
+    /// The tick.
+    pub tick: u32,
+    /// Why.
+    pub fault: Fault,
+    /// Decimated count.
+    pub count: i32,
+    /// By how much it had moved since the tick before.
+    pub moved: i32,
+    /// Torque commanded, Nm.
+    pub torque_nm: f32,
+    /// Current of phase B, A.
+    pub current_b_a: f32,
+    /// Current of phase C, A.
+    pub current_c_a: f32,
+    /// Bus voltage, V.
+    pub bus_v: f32,
+    /// Temperature of the switches, °C.
+    pub temperature_c: f32,
+    /// The gate driver's status words, as read after the fault.
+    pub gate_driver: [u16; 2],
+}
+
+/// Why a device started.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ResetReason {
+    /// The board does not say.
+    Unknown,
+    /// Power came on.
+    PowerOn,
+    /// The supply sagged.
+    BrownOut,
+    /// The reset pin.
+    Pin,
+    /// The program asked for it.
+    Software,
+    /// The watchdog was not fed.
+    Watchdog,
 }
 
 /// Who a device is.
@@ -144,6 +256,8 @@ pub struct Status {
     pub bad_frames: u32,
     /// What became of the last save.
     pub stored: Stored,
+    /// Why it started.
+    pub reset: ResetReason,
 }
 
 /// What a device found kept when it started, and so which parameters it began with; [`Self::Last`] after
@@ -170,10 +284,15 @@ pub enum Stored {
         /// The parameter that shows it.
         name: Name,
     },
+    /// The same, of the motor.
+    RefusedMotor {
+        /// The value that shows it.
+        name: MotorName,
+    },
 }
 
 /// Whether a device gives torque.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum State {
     /// It does not.
     Disarmed,
@@ -181,10 +300,14 @@ pub enum State {
     Armed,
     /// It does not, and will not until it is cleared.
     Fault(Fault),
+    /// It measures its motor.
+    Calibrating,
+    /// It gives a torque without a spring.
+    Pushing,
 }
 
 /// What put torque to zero.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Fault {
     /// A tick was not done before the next was due.
     Overrun,
@@ -195,6 +318,41 @@ pub enum Fault {
     },
     /// The torque was not a finite number.
     TorqueNotFinite,
+    /// A current tick was not done before the next was due.
+    CurrentOverrun,
+    /// The gate driver reported a fault, or does not hold what was written to it.
+    GateDriver,
+    /// A current beyond what is safe.
+    OverCurrent {
+        /// The current, A.
+        current_a: f32,
+    },
+    /// The current converters cannot be believed: at an end of their range, or currents that do not add up.
+    CurrentSense,
+    /// The bus voltage is too high.
+    OverVoltage {
+        /// The voltage, V.
+        bus_v: f32,
+    },
+    /// The bus voltage is too low.
+    UnderVoltage {
+        /// The voltage, V.
+        bus_v: f32,
+    },
+    /// The switches are too hot, or their sensor does not answer.
+    OverTemperature {
+        /// The temperature, °C.
+        temperature_c: f32,
+    },
+    /// The knob turns faster than it may.
+    OverSpeed {
+        /// The speed, rad/s.
+        speed_rad_s: f32,
+    },
+    /// The count does not follow the motor.
+    Encoder,
+    /// A push or a calibration went further than it may.
+    Guard,
 }
 
 /// Why a request was not done.
@@ -245,6 +403,23 @@ pub enum Refusal {
     NoStorage,
     /// The storage failed; what was saved before is kept.
     NotKept,
+    /// This board has no power stage.
+    NoPowerStage,
+    /// The motor is not known yet: calibrate, or set it.
+    NoMotor,
+    /// A value of the motor is out of range, or not a number.
+    MotorValue {
+        /// Which.
+        name: MotorName,
+        /// What was given.
+        given: f32,
+        /// The least that is accepted.
+        lowest: f32,
+        /// The most.
+        highest: f32,
+    },
+    /// A push is out of range, or not a number.
+    Push,
 }
 
 /// One tick, as subscribed; what was not asked for is None.
@@ -320,5 +495,59 @@ pub enum Event {
     Dropped {
         /// How many since the start.
         total: u32,
+    },
+    /// A calibration goes on.
+    Calibrating {
+        /// What is being measured.
+        stage: Stage,
+        /// The share of it that is done, 0 to 1.
+        done: f32,
+    },
+    /// A calibration has measured something.
+    Measured {
+        /// In which stage.
+        stage: Stage,
+        /// Which of its results, from 0.
+        index: u16,
+        /// The result; what each is, the stage says.
+        values: [f32; 4],
+    },
+    /// A calibration is over; the bridge is off.
+    Calibrated {
+        /// How it ended.
+        end: CalibrationEnd,
+    },
+}
+
+/// What a calibration measures, in this order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Stage {
+    /// Codes without current.
+    Offsets,
+    /// Resistance of the phases.
+    Resistance,
+    /// Inductance along and across the rotor.
+    Inductance,
+    /// Pole pairs, direction and zero of the encoder.
+    Turn,
+    /// Back-EMF.
+    BackEmf,
+}
+
+/// How a calibration ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CalibrationEnd {
+    /// All was measured.
+    Done,
+    /// It was told to end.
+    BrokenOff,
+    /// A fault ended it.
+    Fault,
+    /// This stage could not go on.
+    Failed {
+        /// Which.
+        stage: Stage,
+        /// Why: a number that the page of the wire explains.
+        reason: u8,
     },
 }

@@ -35,29 +35,43 @@ pub enum Shape {
     Detent,
 }
 
-/// Declares the parameters once: the set that a device holds, the changes that a message
+/// How the bridge drives the motor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Drive {
+    /// Not said yet: nothing is driven.
+    None,
+    /// Three phases, by their currents.
+    Current,
+    /// Three phases of high resistance, by voltage.
+    Voltage,
+    /// Brushed, between phases B and C, by its current.
+    Brushed,
+}
+
+/// Declares a set of values once: the set that a device holds, the changes that a message
 /// carries, and their names.
-macro_rules! parameters {
-    ($($(#[$doc:meta])* $field:ident / $name:ident: $type:ty,)*) => {
-        /// Everything that can be set, in SI units.
+macro_rules! values {
+    ($(#[$of_set:meta])* $Set:ident, $(#[$of_changes:meta])* $Changes:ident, $(#[$of_name:meta])* $Name:ident:
+     $($(#[$doc:meta])* $field:ident / $name:ident: $type:ty,)*) => {
+        $(#[$of_set])*
         #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-        pub struct Parameters {
+        pub struct $Set {
             $($(#[$doc])* pub $field: $type,)*
         }
 
-        /// Parameters to change; None stays. A set is taken whole or not at all.
+        $(#[$of_changes])*
         #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-        pub struct Changes {
+        pub struct $Changes {
             $($(#[$doc])* pub $field: Option<$type>,)*
         }
 
-        /// The name of a parameter.
+        $(#[$of_name])*
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-        pub enum Name {
+        pub enum $Name {
             $($(#[$doc])* $name,)*
         }
 
-        impl Name {
+        impl $Name {
             /// All names, in the order of the wire.
             pub const ALL: &'static [Self] = &[$(Self::$name,)*];
 
@@ -70,10 +84,10 @@ macro_rules! parameters {
             }
         }
 
-        impl Parameters {
-            /// These parameters with the changes made.
+        impl $Set {
+            /// These with the changes made.
             #[must_use]
-            pub fn with(&self, changes: &Changes) -> Self {
+            pub fn with(&self, changes: &$Changes) -> Self {
                 Self {
                     $($field: changes.$field.unwrap_or(self.$field),)*
                 }
@@ -82,7 +96,13 @@ macro_rules! parameters {
     };
 }
 
-parameters! {
+values! {
+    /// Everything that can be set of the rendering and of what is believed, in SI units.
+    Parameters,
+    /// Parameters to change; None stays. A set is taken whole or not at all.
+    Changes,
+    /// The name of a parameter.
+    Name:
     /// The sample period T, s. Only while disarmed.
     sample_period_s / SamplePeriodS: f32,
     /// Hardware counts per count. Only while disarmed.
@@ -121,4 +141,37 @@ parameters! {
     jitter_s / JitterS: f32,
     /// The step of the torque's DAC as it is believed to be, Nm; 0: none.
     torque_step_nm / TorqueStepNm: f32,
+}
+
+values! {
+    /// The motor at the bridge and how its encoder sits, as `knob calibrate` finds them, in SI units. Only a board with
+    /// a power stage looks at it.
+    Motor,
+    /// What to change of a motor; None stays. Only while disarmed, whole or not at all.
+    MotorChanges,
+    /// The name of a motor's value.
+    MotorName:
+    /// How it is driven.
+    drive / Drive: Drive,
+    /// p; 1 of a brushed motor.
+    pole_pairs / PolePairs: u32,
+    /// R of one phase, or between the ends of a brushed motor, Ω.
+    resistance_ohm / ResistanceOhm: f32,
+    /// L_d, or L of a brushed motor, H.
+    d_inductance_h / DInductanceH: f32,
+    /// L_q, H; as L_d of a brushed motor.
+    q_inductance_h / QInductanceH: f32,
+    /// Torque of one ampere, along q where there are three phases, Nm/A: 3/2 p ψ, or k of a brushed motor.
+    torque_constant_nm_a / TorqueConstantNmA: f32,
+    /// The largest current commanded, A.
+    current_max_a / CurrentMaxA: f32,
+    /// The counter falls while the phases follow each other as A, B, C; of a brushed motor, while current
+    /// flows from B to C.
+    reversed / Reversed: bool,
+    /// The electrical angle in the middle of count 0, turns.
+    zero_turns / ZeroTurns: f32,
+    /// Mean code of B's converter without current.
+    offset_b_codes / OffsetBCodes: f32,
+    /// Mean code of C's converter without current.
+    offset_c_codes / OffsetCCodes: f32,
 }

@@ -2,9 +2,10 @@
 
 use proptest::prelude::*;
 use protocol::{
-    Changes, ClampReason, Event, FRAME_MAX, Fault, Fields, FrameError, Frames, FromDevice, Hello,
-    Interval, Law, Message, Name, Parameters, Refusal, Request, Shape, State, Status, Stored,
-    Subscription, Telemetry, ToDevice, VERSION, decode, encode,
+    Calibrate, CalibrationEnd, Changes, ClampReason, Drive, Event, FRAME_MAX, Fault, Fields,
+    FrameError, Frames, FromDevice, Hello, Interval, Law, MOVES_MAX, Message, Motor, MotorChanges,
+    Moves, Name, Parameters, Push, Refusal, Request, ResetReason, Shape, Snapshot, Stage, State,
+    Status, Stored, Subscription, Telemetry, ToDevice, VERSION, decode, encode,
 };
 
 /// The page that describes the wire; its golden frames are those tested here.
@@ -41,6 +42,20 @@ const PARAMETERS: Parameters = Parameters {
     torque_step_nm: 1e-3,
 };
 
+const MOTOR: Motor = Motor {
+    drive: Drive::Brushed,
+    pole_pairs: 1,
+    resistance_ohm: 0.611,
+    d_inductance_h: 1.19e-4,
+    q_inductance_h: 1.19e-4,
+    torque_constant_nm_a: 0.0292,
+    current_max_a: 4.0,
+    reversed: true,
+    zero_turns: 0.25,
+    offset_b_codes: 2050.5,
+    offset_c_codes: 2047.0,
+};
+
 fn requests() -> Vec<(&'static str, Request)> {
     vec![
         ("hello", Request::Hello { version: VERSION }),
@@ -75,6 +90,37 @@ fn requests() -> Vec<(&'static str, Request)> {
             }),
         ),
         ("status", Request::Status),
+        ("reset-settings", Request::ResetSettings),
+        ("motor", Request::Motor),
+        (
+            "set motor, drive=current pole_pairs=7",
+            Request::SetMotor(MotorChanges {
+                drive: Some(Drive::Current),
+                pole_pairs: Some(7),
+                ..MotorChanges::default()
+            }),
+        ),
+        ("last fault", Request::LastFault),
+        (
+            "calibrate",
+            Request::Calibrate(Calibrate {
+                drive: Drive::Brushed,
+                current_max_a: 2.0,
+            }),
+        ),
+        (
+            "push",
+            Request::Push(Push {
+                from_nm: 0.0,
+                to_nm: 0.01,
+                rise_ticks: 300,
+                most_ticks: 1000,
+                way_counts: 500,
+                speed_counts: 40,
+                coast_ticks: 2000,
+                guard_counts: 8192,
+            }),
+        ),
     ]
 }
 
@@ -107,6 +153,7 @@ fn messages() -> Vec<(&'static str, Message<'static>)> {
                 dropped: 2,
                 bad_frames: 1,
                 stored: Stored::Version { found: 300 },
+                reset: ResetReason::Watchdog,
             }),
         ),
         (
@@ -137,6 +184,48 @@ fn messages() -> Vec<(&'static str, Message<'static>)> {
             Message::Event(Event::Fault {
                 tick: 6,
                 fault: Fault::Overrun,
+            }),
+        ),
+        (
+            "event, measured",
+            Message::Event(Event::Measured {
+                stage: Stage::Resistance,
+                index: 2,
+                values: [1.0, 0.5, 0.25, 0.0],
+            }),
+        ),
+        (
+            "event, calibrated",
+            Message::Event(Event::Calibrated {
+                end: CalibrationEnd::Failed {
+                    stage: Stage::Turn,
+                    reason: 3,
+                },
+            }),
+        ),
+        ("motor, brushed", Message::Motor(MOTOR)),
+        (
+            "snapshot, over-current",
+            Message::Snapshot(Some(Snapshot {
+                tick: 4000,
+                fault: Fault::OverCurrent { current_a: 31.5 },
+                count: -5,
+                moved: 1,
+                torque_nm: 0.25,
+                current_b_a: 31.5,
+                current_c_a: -30.0,
+                bus_v: 24.0,
+                temperature_c: 40.0,
+                gate_driver: [0x400, 1],
+            })),
+        ),
+        (
+            "moves",
+            Message::Moves(Moves {
+                first: 64,
+                released: Some(66),
+                last: false,
+                moves: &[0, 0, 1, 0, 0xFF, 0xFF],
             }),
         ),
     ]
@@ -297,6 +386,13 @@ fn the_longest_of_every_message_fits_a_frame() {
         "{}",
         from_device(hello).len()
     );
+    let moves = Message::Moves(Moves {
+        first: u32::MAX,
+        released: Some(u32::MAX),
+        last: true,
+        moves: &[0xFF; MOVES_MAX],
+    });
+    assert!(from_device(moves).len() <= FRAME_MAX);
 }
 
 proptest! {

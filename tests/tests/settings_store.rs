@@ -5,11 +5,11 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use acceptance::{Answer, Cut, Flash, Random, Twin, answers, request_frame};
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use firmware::settings::DEFAULTS;
+use firmware::settings::{DEFAULT_SETTINGS, DEFAULTS, Settings};
 use firmware::store::{Keep, Loaded, SLOT, SaveError, Store, VERSION};
 use protocol::{
-    Changes, Frames, Interval, Law, Message, Name, Parameters, Refusal, Request, Shape, State,
-    Status, Stored,
+    Changes, Drive, Frames, Interval, Law, Message, Motor, Name, Parameters, Refusal, Request,
+    Shape, State, Status, Stored,
 };
 use rayon::prelude::*;
 
@@ -22,19 +22,19 @@ fn load<F: NorFlash>(flash: F) -> Loaded {
     Store::new(flash, 0).load()
 }
 
-fn save<F: NorFlash>(flash: F, parameters: &Parameters) -> Result<(), SaveError> {
-    Store::new(flash, 0).save(parameters)
+fn save<F: NorFlash>(flash: F, settings: &Settings) -> Result<(), SaveError> {
+    Store::new(flash, 0).save(settings)
 }
 
-/// Any parameters: the store keeps what it is given. None of its bits is the same in every set.
-fn any_parameters(random: &mut Random) -> Parameters {
+/// Any settings: the store keeps what it is given. None of its bits is the same in every set.
+fn any_settings(random: &mut Random) -> Settings {
     // Any sign, exponent and fraction, but finite, so that a set equals itself.
     let mut number = || f32::from_bits(random.bits() as u32 & 0xBFFF_FFFF);
     let mut interval = || Interval {
         low: number(),
         high: number(),
     };
-    Parameters {
+    let parameters = Parameters {
         inertia_kg_m2: interval(),
         viscous_nm_s_rad: interval(),
         coulomb_nm: interval(),
@@ -55,17 +55,33 @@ fn any_parameters(random: &mut Random) -> Parameters {
         law: [Law::Raw, Law::Static, Law::Episode, Law::Ledger, Law::Auto]
             [random.below(5) as usize],
         shape: [Shape::Spring, Shape::Wall, Shape::Detent][random.below(3) as usize],
-    }
+    };
+    let mut number = || f32::from_bits(random.bits() as u32 & 0xBFFF_FFFF);
+    let motor = Motor {
+        resistance_ohm: number(),
+        d_inductance_h: number(),
+        q_inductance_h: number(),
+        torque_constant_nm_a: number(),
+        current_max_a: number(),
+        zero_turns: number(),
+        offset_b_codes: number(),
+        offset_c_codes: number(),
+        drive: [Drive::None, Drive::Current, Drive::Voltage, Drive::Brushed]
+            [random.below(4) as usize],
+        pole_pairs: random.bits() as u32 >> random.below(32),
+        reversed: random.below(2) == 1,
+    };
+    Settings { parameters, motor }
 }
 
 /// What is said where a set of parameters was taken, or the defaults for want of one.
-fn is_set(loaded: &Loaded, set: Option<&Parameters>) -> bool {
+fn is_set(loaded: &Loaded, set: Option<&Settings>) -> bool {
     match set {
         Some(set) => {
-            loaded.parameters == *set && matches!(loaded.stored, Stored::Last | Stored::Older)
+            loaded.settings == *set && matches!(loaded.stored, Stored::Last | Stored::Older)
         }
         None => {
-            loaded.parameters == DEFAULTS
+            loaded.settings == DEFAULT_SETTINGS
                 && matches!(loaded.stored, Stored::Nothing | Stored::Damaged)
         }
     }
@@ -86,13 +102,13 @@ struct Cuts {
 fn history<const WORD: usize>(seed: u64, cuts: &Cuts) {
     let mut random = Random(seed);
     let mut flash = Flash::<WORD, SMALL>::blank(random.bits());
-    let mut kept: Option<Parameters> = None;
+    let mut kept: Option<Settings> = None;
     for round in 0..1 + random.below(7) {
-        let new = any_parameters(&mut random);
+        let new = any_settings(&mut random);
         let mut whole = flash.clone();
         assert_eq!(save(&mut whole, &new), Ok(()));
         let after = load(&mut whole);
-        assert_eq!((after.stored, after.parameters), (Stored::Last, new));
+        assert_eq!((after.stored, after.settings), (Stored::Last, new));
 
         let steps = whole.steps - flash.steps;
         let mut next = whole.clone();
@@ -120,10 +136,10 @@ fn history<const WORD: usize>(seed: u64, cuts: &Cuts) {
                     next_kept = if is_new { Some(new) } else { kept };
                 }
                 // Saving works as before.
-                let again = any_parameters(&mut random);
+                let again = any_settings(&mut random);
                 assert_eq!(save(&mut torn, &again), Ok(()));
                 let loaded = load(&mut torn);
-                assert_eq!((loaded.stored, loaded.parameters), (Stored::Last, again));
+                assert_eq!((loaded.stored, loaded.settings), (Stored::Last, again));
                 // All the ways to be cut differ only at an erase.
                 if torn.cut_erases == erased {
                     cuts.programming.fetch_add(1, Relaxed);
@@ -158,10 +174,10 @@ fn a_cut_at_any_step_of_ten_thousand_histories_leaves_the_old_or_the_new_set() {
 }
 
 /// A flash with some saves, the last of which is returned, and the one before.
-fn filled(random: &mut Random) -> (Flash<4, SMALL>, Vec<Parameters>) {
+fn filled(random: &mut Random) -> (Flash<4, SMALL>, Vec<Settings>) {
     let mut flash = Flash::blank(random.bits());
     let saves = 1 + random.below(11);
-    let sets: Vec<Parameters> = (0..saves).map(|_| any_parameters(random)).collect();
+    let sets: Vec<Settings> = (0..saves).map(|_| any_settings(random)).collect();
     for set in &sets {
         assert_eq!(save(&mut flash, set), Ok(()));
     }
@@ -179,11 +195,11 @@ fn damage_leaves_a_whole_set_or_defaults_and_is_told() {
         }
         let loaded = load(&mut flash);
         match loaded.stored {
-            Stored::Last | Stored::Older => assert!(sets.contains(&loaded.parameters)),
-            Stored::Damaged => assert_eq!(loaded.parameters, DEFAULTS),
+            Stored::Last | Stored::Older => assert!(sets.contains(&loaded.settings)),
+            Stored::Damaged => assert_eq!(loaded.settings, DEFAULT_SETTINGS),
             other => panic!("seed {seed}: {other:?}"),
         }
-        let new = any_parameters(&mut random);
+        let new = any_settings(&mut random);
         assert_eq!(save(&mut flash, &new), Ok(()), "seed {seed}");
         // Where a blank slot was damaged it may take that for a save that was cut short.
         assert!(is_set(&load(&mut flash), Some(&new)), "seed {seed}");
@@ -213,7 +229,7 @@ fn a_bit_wrong_in_the_last_record_gives_the_one_before_and_says_so() {
             0 => Loaded::defaults(Stored::Damaged),
             _ => Loaded {
                 stored: Stored::Older,
-                parameters: sets[last - 1],
+                settings: sets[last - 1],
             },
         };
         assert_eq!(loaded, wanted, "seed {seed}, {} saves", sets.len());
@@ -230,9 +246,9 @@ fn whatever_is_in_the_flash_it_starts_with_defaults_and_saves() {
             *byte = random.byte() & mask;
         }
         assert_eq!(load(&mut flash), Loaded::defaults(Stored::Damaged));
-        let new = any_parameters(&mut random);
+        let new = any_settings(&mut random);
         assert_eq!(save(&mut flash, &new), Ok(()));
-        assert_eq!(load(&mut flash).parameters, new);
+        assert_eq!(load(&mut flash).settings, new);
     }
     let mut blank = Flash::<4, SMALL>::blank(1);
     assert_eq!(load(&mut blank), Loaded::defaults(Stored::Nothing));
@@ -266,28 +282,28 @@ fn content(flash: &Flash<4, SMALL>, slot: usize) -> Vec<u8> {
 fn a_record_is_written_as_described() {
     let mut flash = Flash::<4, SMALL>::blank(1);
     for _ in 0..2 {
-        save(&mut flash, &DEFAULTS).unwrap();
+        save(&mut flash, &DEFAULT_SETTINGS).unwrap();
     }
     for number in 0..2 {
         let slot = number as usize;
         let wanted = record(number, VERSION, &content(&flash, slot));
         assert_eq!(flash.bytes[slot * SLOT..][..wanted.len()], wanted);
     }
-    // Of version 1. If this fails, what is stored has changed: raise the version.
+    // Of version 2. If this fails, what is stored has changed: raise the version.
     let hex: String = content(&flash, 0)
         .iter()
         .map(|byte| format!("{byte:02x}"))
         .collect();
-    assert_eq!((VERSION, hex.as_str()), (1, DEFAULTS_V1));
+    assert_eq!((VERSION, hex.as_str()), (2, DEFAULTS_V2));
 }
 
-/// [`DEFAULTS`] as version 1 stores them.
-const DEFAULTS_V1: &str = "6f12833a018040040000000000000000000000000000000000cdcc4c3e0000003f00007a44cab8d236cab8d236b5fe1637b5fe16376f12033b6f12033b00000000000000000000000000000000";
+/// [`DEFAULT_SETTINGS`] as version 2 stores them.
+const DEFAULTS_V2: &str = "6f12833a018040040000000000000000000000000000000000cdcc4c3e0000003f00007a44cab8d236cab8d236b5fe1637b5fe16376f12033b6f12033b0000000000000000000000000000000000010000803f6f12833a6f12833acdcc4c3d0000000000000000000000004500000045";
 
 #[test]
 fn another_version_or_another_content_gives_defaults_and_is_told() {
     let mut flash = Flash::<4, SMALL>::blank(1);
-    let old = any_parameters(&mut Random(1));
+    let old = any_settings(&mut Random(1));
     save(&mut flash, &old).unwrap();
     let good = content(&flash, 0);
     let mut long = good.clone();
@@ -311,7 +327,7 @@ fn another_version_or_another_content_gives_defaults_and_is_told() {
         // A save begins anew, and an older firmware's set is there until then.
         save(&mut flash, &old).unwrap();
         assert_eq!(load(&mut flash).stored, Stored::Last);
-        assert_eq!(load(&mut flash).parameters, old);
+        assert_eq!(load(&mut flash).settings, old);
     }
 }
 
@@ -319,13 +335,13 @@ fn another_version_or_another_content_gives_defaults_and_is_told() {
 fn five_hundred_saves_cost_one_erase() {
     let mut flash = Flash::<4, SECTOR>::blank(1);
     let mut random = Random(1);
-    let mut last = DEFAULTS;
+    let mut last = DEFAULT_SETTINGS;
     for saves in 1..=1600_u64 {
-        last = any_parameters(&mut random);
+        last = any_settings(&mut random);
         assert_eq!(save(&mut flash, &last), Ok(()));
         assert_eq!(flash.erases, saves.div_ceil(512), "{saves} saves");
     }
-    assert_eq!(load(&mut flash).parameters, last);
+    assert_eq!(load(&mut flash).settings, last);
 }
 
 /// A flash that says that all is well and does nothing, as the emulated chip's does.
@@ -463,7 +479,11 @@ fn what_this_firmware_does_not_accept_gives_defaults_by_name() {
         let mut parameters = DEFAULTS;
         change(&mut parameters);
         let mut flash = Flash::blank(1);
-        save(&mut flash, &parameters).unwrap();
+        let settings = Settings {
+            parameters,
+            ..DEFAULT_SETTINGS
+        };
+        save(&mut flash, &settings).unwrap();
         let mut twin = restart(flash);
         assert_eq!(status(&mut twin).stored, Stored::Refused { name });
         assert_eq!(self::parameters(&mut twin), DEFAULTS);
@@ -491,6 +511,6 @@ fn a_board_without_storage_says_so() {
 #[test]
 fn what_was_not_written_is_not_said_to_be() {
     let mut store = Store::new(Idle(Flash::blank(1)), 0);
-    assert_eq!(store.save(&DEFAULTS), Err(SaveError::ReadBack));
+    assert_eq!(store.save(&DEFAULT_SETTINGS), Err(SaveError::ReadBack));
     assert_eq!(store.load(), Loaded::defaults(Stored::Nothing));
 }

@@ -1,15 +1,16 @@
 //! `knob info`: who a device is, and how.
 
 use anyhow::Result;
-use protocol::State;
+use protocol::{Snapshot, State};
 use serde::Serialize;
 
 use crate::output::say_line;
+use crate::parameters::short;
 use crate::ports::Connection;
 use crate::words;
 
-/// Show who the device is and how: firmware, board, state and why it is in fault if it is, and what
-/// became of the saved settings.
+/// Show who the device is and how: firmware, board, state why it is in fault if it is, what became of the
+/// saved settings, why it started, and how things stood at its last fault.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  knob info --port /dev/ttyACM0")]
 pub struct Args {
@@ -32,14 +33,52 @@ struct Json<'a> {
     bad_frames: u32,
     settings: &'a str,
     settings_text: String,
+    reset: &'a str,
+    reset_text: &'a str,
+    /// How things stood at the last fault since the start.
+    last_fault: Option<SnapshotJson>,
+}
+
+#[derive(Serialize)]
+struct SnapshotJson {
+    tick: u32,
+    fault: &'static str,
+    fault_text: String,
+    count: i32,
+    moved: i32,
+    torque_nm: f32,
+    current_b_a: f32,
+    current_c_a: f32,
+    bus_v: f32,
+    temperature_c: f32,
+    gate_driver: [u16; 2],
+}
+
+impl From<Snapshot> for SnapshotJson {
+    fn from(it: Snapshot) -> Self {
+        Self {
+            tick: it.tick,
+            fault: words::fault_code(it.fault),
+            fault_text: words::fault(it.fault),
+            count: it.count,
+            moved: it.moved,
+            torque_nm: it.torque_nm,
+            current_b_a: it.current_b_a,
+            current_c_a: it.current_c_a,
+            bus_v: it.bus_v,
+            temperature_c: it.temperature_c,
+            gate_driver: it.gate_driver,
+        }
+    }
 }
 
 pub fn run(args: &Args) -> Result<()> {
     let (mut device, identity) = args.connection.connect()?;
     let status = device.status()?;
+    let last_fault = device.last_fault()?;
     let fault = match status.state {
         State::Fault(fault) => Some(fault),
-        State::Disarmed | State::Armed => None,
+        State::Disarmed | State::Armed | State::Calibrating | State::Pushing => None,
     };
     if args.connection.json {
         let json = Json {
@@ -56,6 +95,9 @@ pub fn run(args: &Args) -> Result<()> {
             bad_frames: status.bad_frames,
             settings: words::stored_code(status.stored),
             settings_text: words::stored(status.stored),
+            reset: words::reset_code(status.reset),
+            reset_text: words::reset(status.reset),
+            last_fault: last_fault.map(SnapshotJson::from),
         };
         say_line!("{}", serde_json::to_string(&json)?);
         return Ok(());
@@ -70,6 +112,18 @@ pub fn run(args: &Args) -> Result<()> {
     );
     say_line!("state        {}", words::state_in_full(status.state));
     say_line!("settings     {}", words::stored(status.stored));
+    say_line!("started by   {}", words::reset(status.reset));
+    match last_fault {
+        None => say_line!("last fault   none since the start"),
+        Some(it) => say_line!(
+            "last fault   tick {}: {}; count {}, moved {}, torque {} Nm",
+            it.tick,
+            words::fault(it.fault),
+            it.count,
+            it.moved,
+            short(it.torque_nm)
+        ),
+    }
     say_line!("tick         {}", status.tick);
     say_line!(
         "lost         {} messages found no room, {} frames could not be read",

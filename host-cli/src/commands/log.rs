@@ -218,6 +218,11 @@ impl Log {
                 Unasked::Event(Event::Dropped { total }) => {
                     self.summary.dropped = total.wrapping_sub(dropped);
                 }
+                // Of a push or a calibration that another host began.
+                Unasked::Moves(_)
+                | Unasked::Event(
+                    Event::Calibrating { .. } | Event::Measured { .. } | Event::Calibrated { .. },
+                ) => {}
             }
         }
     }

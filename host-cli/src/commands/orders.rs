@@ -1,4 +1,4 @@
-//! `knob arm`, `disarm`, `clear` and `save`: orders without values.
+//! `knob arm`, `disarm`, `clear`, `save` and `reset-settings`: orders without values.
 
 use anyhow::{Result, bail};
 use protocol::{Refusal, Request, State};
@@ -22,6 +22,7 @@ pub enum Order {
     Disarm,
     Clear,
     Save,
+    ResetSettings,
 }
 
 impl Order {
@@ -31,6 +32,7 @@ impl Order {
             Self::Disarm => Request::Disarm,
             Self::Clear => Request::Clear,
             Self::Save => Request::Save,
+            Self::ResetSettings => Request::ResetSettings,
         }
     }
 
@@ -41,6 +43,7 @@ impl Order {
             Self::Disarm => "cannot disarm",
             Self::Clear => "nothing to clear",
             Self::Save => "nothing was saved",
+            Self::ResetSettings => "nothing was reset",
         }
     }
 }
@@ -61,10 +64,15 @@ pub fn run(args: &Args, order: Order) -> Result<()> {
             "nothing to clear: the device is {}, not in fault",
             words::state(state)
         ),
-        Outcome::Refused(Refusal::State(State::Armed)) if order == Order::Save => bail!(
-            "nothing was saved: the device is armed, and it may stand still for two seconds while it \
-             saves; `knob disarm` first"
-        ),
+        Outcome::Refused(Refusal::State(State::Armed))
+            if matches!(order, Order::Save | Order::ResetSettings) =>
+        {
+            bail!(
+                "{}: the device is armed, and it may stand still for two seconds while it \
+                 saves; `knob disarm` first",
+                order.failed()
+            )
+        }
         Outcome::Refused(refusal) => bail!(
             "{}: {}",
             order.failed(),
@@ -86,6 +94,8 @@ pub fn run(args: &Args, order: Order) -> Result<()> {
         say_line!("{}", serde_json::to_string(&json)?);
     } else if order == Order::Save {
         say_line!("saved; the next start begins with these parameters");
+    } else if order == Order::ResetSettings {
+        say_line!("the defaults are in force from tick {tick}, and saved for the next start");
     } else {
         say_line!("{} from tick {tick}", words::state_in_full(state));
     }

@@ -3,7 +3,8 @@ use std::io::{self, ErrorKind};
 use std::time::{Duration, Instant};
 
 use protocol::{
-    Event, Frames, FromDevice, Message, Parameters, Refusal, Status, Telemetry, decode,
+    Event, Frames, FromDevice, Message, Motor, Moves, Parameters, Refusal, Snapshot, Status,
+    Telemetry, decode,
 };
 use serialport::SerialPort;
 
@@ -35,15 +36,41 @@ pub enum Answer {
     Done { tick: u32 },
     Refused(Refusal),
     Status(Status),
+    Motor(Motor),
+    Snapshot(Option<Snapshot>),
 }
 
 /// What a device says unasked.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Unasked {
     /// A tick.
     Telemetry(Telemetry),
     /// Something happened.
     Event(Event),
+    /// How a push goes on.
+    Moves(Moved),
+}
+
+/// Counts of successive ticks of a push; see [`Moves`].
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Moved {
+    pub first: u32,
+    pub released: Option<u32>,
+    pub last: bool,
+    /// By how much each tick found the count moved.
+    pub moves: Vec<i16>,
+}
+
+impl From<Moves<'_>> for Moved {
+    fn from(moves: Moves<'_>) -> Self {
+        let (pairs, _) = moves.moves.as_chunks();
+        Self {
+            first: moves.first,
+            released: moves.released,
+            last: moves.last,
+            moves: pairs.iter().map(|pair| i16::from_le_bytes(*pair)).collect(),
+        }
+    }
 }
 
 /// What a device says.
@@ -68,6 +95,9 @@ impl From<Message<'_>> for Said {
             Message::Status(status) => Self::Answer(Answer::Status(status)),
             Message::Telemetry(telemetry) => Self::Unasked(Unasked::Telemetry(telemetry)),
             Message::Event(event) => Self::Unasked(Unasked::Event(event)),
+            Message::Motor(motor) => Self::Answer(Answer::Motor(motor)),
+            Message::Snapshot(snapshot) => Self::Answer(Answer::Snapshot(snapshot)),
+            Message::Moves(moves) => Self::Unasked(Unasked::Moves(moves.into())),
         }
     }
 }

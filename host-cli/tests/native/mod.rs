@@ -133,6 +133,7 @@ fn board_on(
         git_hash: "abc1234",
         board: "native",
         counter_bits: 32,
+        reset: protocol::ResetReason::Unknown,
     };
     let mut ticker = Ticker::new(&start.settled, 0, link, command_receiver, record_sender);
     let mut desk = Desk::new(
@@ -145,7 +146,7 @@ fn board_on(
     );
     let mut inbox = VecDeque::new();
     let mut counter = 0_i32;
-    let mut period_s = start.parameters.sample_period_s;
+    let mut period_s = start.settings.parameters.sample_period_s;
     let port = Port::new(move |incoming, outgoing| {
         inbox.extend(incoming);
         counter = counter.wrapping_add(held.speed.load(Relaxed) + held.jump.swap(0, Relaxed));
