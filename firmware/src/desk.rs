@@ -248,6 +248,7 @@ impl<'a, K: Keep> Desk<'a, K> {
             Request::LastFault => Message::Snapshot(self.snapshot),
             Request::Calibrate(_) => Message::Refused(Refusal::NoPowerStage),
             Request::Push(_) => Message::Refused(Refusal::Push),
+            Request::PowerStage => Message::PowerStage(None),
         };
         send(sequence, answer, write);
     }

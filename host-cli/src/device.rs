@@ -292,6 +292,7 @@ fn asked(request: Request) -> &'static str {
         Request::SetMotor(_) => "set motor",
         Request::LastFault => "last fault",
         Request::Calibrate(_) => "calibrate",
+        Request::PowerStage => "power stage",
         Request::Push(_) => "push",
     }
 }
