@@ -4,6 +4,7 @@
 //! standard error. Exit status: 0 success, 1 failure, 2 bad usage, 130 stopped by Ctrl-C.
 #![forbid(unsafe_code)]
 
+pub mod calibrate;
 mod charts;
 mod commands;
 mod device;

@@ -1,0 +1,335 @@
+//! A brushed motor between B and C: connection, inductance, then resistance and torque constant at once, as
+//! it turns while it is measured.
+//!
+//! B to C is the direction a quarter of a turn ahead of phase A; a vector of V there is √3 V from B to C.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Matrix3, Vector3};
+use plant_sim::identify::Estimate;
+use protocol::{Excitation, Sums};
+
+use super::refusal::{Phase, Refusal};
+use super::shared::{
+    Calibration, Level, SYSTEMATIC, Times, angle, estimate, inductance_h, mean,
+};
+use super::sums::{self, ripple_of_one};
+use super::{Bench, Found, Step};
+
+/// The direction from B to C.
+const B_TO_C: f64 = 0.25;
+
+/// So short that the motor hardly turns.
+const SEARCHING: Times = Times {
+    rise_s: 0.5e-3,
+    settle_s: 2e-3,
+    window_s: 1e-3,
+    windows: 2,
+};
+
+/// The part of the current limit at which the search ends; where voltage turns round while it spins, twice
+/// as much flows.
+const SEARCH: f64 = 0.15;
+
+/// Periods of 20 ms each way, in windows of a twelfth, and how many of them.
+const HALF_S: f64 = 20e-3;
+const WINDOWS: u16 = 12;
+const SHAKES: usize = 8;
+
+/// How far dead time may be from what is believed, as a part of it.
+const DEAD_TIME: f64 = 0.25;
+
+pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Found, B::Error> {
+    calibration.begin(Step::Resistance);
+    let level = calibration.search(B_TO_C, SEARCH, &SEARCHING)?;
+    connected(calibration, &level)?;
+    calibration.begin(Step::Inductance);
+    let (per_b, deviation) = ripple(calibration)?;
+    calibration.begin(Step::BackEmf);
+    let spun = spin(calibration, &level)?;
+    let rows = rows(calibration, &spun, per_b);
+    let Fit {
+        resistance,
+        constant,
+    } = fit(&rows).ok_or(Refusal::NoMotion)?;
+    let inductance = inductance_h(calibration, resistance.value, per_b);
+    let inductance = estimate(inductance, inductance * deviation / per_b, 0.02);
+    let reversed = constant.value < 0.0;
+    let measured = if reversed {
+        Estimate {
+            value: -constant.value,
+            low: -constant.high,
+            high: -constant.low,
+        }
+    } else {
+        constant
+    };
+    for (name, found) in [
+        ("the resistance (Ω)", resistance),
+        ("the inductance (H)", inductance),
+        ("the torque constant (Nm/A)", measured),
+    ] {
+        if !(found.low > 0.0 && found.half_width() < 0.3) {
+            return Err(Refusal::Vague {
+                name,
+                low: found.low,
+                high: found.high,
+                advice: "allow more current, or a higher bus voltage",
+            }
+            .into());
+        }
+    }
+    let by_kv = calibration.told.kv_rpm_v.map(|kv| 60.0 / (TAU * kv));
+    Ok(Found {
+        zero_codes: calibration.scale.zero_codes,
+        noise_a: calibration.noise_a,
+        resistance_ohm: resistance,
+        d_inductance_h: inductance,
+        q_inductance_h: inductance,
+        pole_pairs: 1,
+        reversed,
+        zero_turns: Estimate {
+            value: 0.0,
+            low: 0.0,
+            high: 0.0,
+        },
+        torque_constant_nm_a: calibration.constant(measured, by_kv)?,
+        measured_constant_nm_a: measured,
+        current_of_bus_a: 3.0_f64.sqrt() * calibration.reach_v() / resistance.value,
+    })
+}
+
+/// Whether the motor is between B and C, and nothing at A.
+fn connected<B: Bench>(
+    calibration: &mut Calibration<'_, B>,
+    level: &Level,
+) -> Result<(), B::Error> {
+    let nothing = calibration.nothing_a(level);
+    let [b_a, c_a] = level.currents;
+    let codes = calibration.scale.zero_codes;
+    // Where only one of the two bears current: a direction in which the other side of a motor at A has
+    // no voltage against A.
+    let (other, turns) = match [b_a, c_a].map(|current| current.abs() > nothing) {
+        [false, false] => return Err(Refusal::NoCurrent { volts: level.volts }.into()),
+        [true, false] => (Phase::B, 1.0 / 6.0),
+        [false, true] => (Phase::C, 5.0 / 6.0),
+        [true, true] => {
+            // Three phases: along A current flows too.
+            let along = calibration.level(0.0, level.volts, 0.0, &SEARCHING)?;
+            let along = along.ok_or_else(|| calibration.short(level.volts))?;
+            let sum_a = (b_a + c_a).abs();
+            if sum_a > nothing.max(0.2 * b_a.abs()) || along.most_a() > nothing.max(0.2 * b_a.abs())
+            {
+                let [b_a, c_a] = along.currents;
+                return Err(Refusal::Sum { b_a, c_a }.into());
+            }
+            return Ok(());
+        }
+    };
+    let again = calibration.search(turns, SEARCH, &SEARCHING)?;
+    let nothing = calibration.nothing_a(&again);
+    let [b_a, c_a] = again.currents;
+    let (flows_a, silent, code) = match other {
+        Phase::B => (b_a, Phase::C, codes[1]),
+        _ => (c_a, Phase::B, codes[0]),
+    };
+    Err(if flows_a.abs() > nothing {
+        Refusal::Stuck {
+            phase: silent,
+            code,
+            current_a: flows_a,
+        }
+    } else {
+        Refusal::BrushedAt { other }
+    }
+    .into())
+}
+
+/// 1/b of the current's answer to voltage, i⁺ = a i + b v, and its standard deviation.
+fn ripple<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<(f64, f64), B::Error> {
+    let held = Excitation {
+        angle: angle(B_TO_C),
+        ..calibration.rippling(0.0)
+    };
+    let volts = calibration.ripple_v(&held, 0.05, calibration.reach_v())?;
+    let windows = calibration.excite(&Excitation {
+        along_v: volts as f32,
+        windows: 16,
+        ..held
+    })?;
+    // Of the current from B to C, and of the voltage there.
+    let per_b = |windows: &[Sums]| {
+        let [_, beta] = calibration.scale.ripple(windows);
+        (ripple_of_one() * (3.0_f64.sqrt() * volts) / (beta * 0.75_f64.sqrt())).im
+    };
+    let groups: Vec<f64> = windows.chunks(2).map(per_b).collect();
+    Ok((per_b(&windows), mean(&groups).1))
+}
+
+/// What was recorded while it spun: shakes forth and back, and a steady voltage either way.
+struct Spun {
+    shakes: Vec<(f64, Vec<Sums>)>,
+    steady: Vec<(f64, Vec<Sums>)>,
+}
+
+fn spin<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result<Spun, B::Error> {
+    let half = calibration.ticks(HALF_S) / (2 * WINDOWS) * (2 * WINDOWS);
+    let mut spun = Spun {
+        shakes: Vec::new(),
+        steady: Vec::new(),
+    };
+    for sign in [1.0, -1.0] {
+        let volts = sign * level.volts;
+        let windows = calibration.excite(&Excitation {
+            angle: angle(B_TO_C),
+            steady_v: volts as f32,
+            settle: calibration.ticks(0.2),
+            window: calibration.ticks(10e-3),
+            windows: 10,
+            ..calibration.nothing()
+        })?;
+        spun.steady.push((volts, windows));
+    }
+    let ends = spun.steady.iter().flat_map(|(_, windows)| windows);
+    let ends = ends.map(|sums| i64::from(sums.count));
+    let (least, most) = ends.fold((i64::MAX, i64::MIN), |(l, m), n| (l.min(n), m.max(n)));
+    let uneven = spun.steady.iter().flat_map(|(_, windows)| windows);
+    let uneven = uneven.map(|sums| sums::count(std::slice::from_ref(sums)));
+    let (low, high) = uneven.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), count| {
+        (l.min(count), h.max(count))
+    });
+    if high - low < 1e-9 {
+        return Err(Refusal::NoMotion.into());
+    }
+    if most - least <= 2 {
+        return Err(Refusal::Toggles {
+            counts: (most - least).max(1),
+        }
+        .into());
+    }
+    for shake in 0..SHAKES {
+        let volts = if shake % 2 == 0 {
+            level.volts
+        } else {
+            -level.volts
+        };
+        // Half a period of its own before the windows, then one of each sign.
+        let windows = calibration.excite(&Excitation {
+            angle: angle(B_TO_C),
+            along_v: volts as f32,
+            quarter: half / 2,
+            rise: 1,
+            settle: half,
+            window: half / WINDOWS,
+            windows: 2 * WINDOWS,
+            ..calibration.nothing()
+        })?;
+        spun.shakes.push((volts, windows));
+    }
+    Ok(spun)
+}
+
+/// v = R i + L i' + k ω + f·(what dead time is believed to take), weighted by the periods of a window.
+struct Row {
+    weight: f64,
+    /// v − L i', V.
+    volts: f64,
+    current_a: f64,
+    speed_rad_s: f64,
+    dead_v: f64,
+}
+
+fn rows<B: Bench>(
+    calibration: &Calibration<'_, B>,
+    spun: &Spun,
+    per_b: f64,
+) -> Vec<Row> {
+    let period_s = f64::from(calibration.stage.pwm_period_s);
+    let edge_a = f64::from(calibration.stage.dead_edge_a);
+    let dead_v = 2.0 * f64::from(calibration.stage.dead_duty) * calibration.bus_v;
+    let count_rad = TAU / f64::from(calibration.told.counts_per_rev);
+    // Near enough for what is left of i' after the first window.
+    let inductance_h = per_b * period_s;
+    let current = |sums: &Sums| {
+        let [b, c] = calibration.scale.currents(std::slice::from_ref(sums));
+        0.5 * (b - c)
+    };
+    let row = |volts: f64, before: &Sums, sums: &Sums, slope_a_s: f64| {
+        let periods = sums::periods(std::slice::from_ref(sums));
+        let way = f64::from(sums.count.wrapping_sub(before.count));
+        let current_a = current(sums);
+        Row {
+            weight: periods.sqrt(),
+            volts: 3.0_f64.sqrt() * volts - inductance_h * slope_a_s,
+            current_a,
+            speed_rad_s: way * count_rad / (periods * period_s),
+            dead_v: dead_v * (current_a / edge_a).clamp(-1.0, 1.0),
+        }
+    };
+    let mut rows = Vec::new();
+    for (volts, windows) in &spun.steady {
+        for pair in windows.windows(2) {
+            if let [before, sums] = pair {
+                rows.push(row(*volts, before, sums, 0.0));
+            }
+        }
+    }
+    let per_half = usize::from(WINDOWS);
+    for (volts, windows) in &spun.shakes {
+        for (half, windows) in windows.chunks(per_half).enumerate() {
+            let volts = if half == 0 { -volts } else { *volts };
+            for three in windows.windows(3) {
+                if let [before, sums, after] = three {
+                    let window_s = sums::periods(std::slice::from_ref(sums)) * period_s;
+                    let slope = (current(after) - current(before)) / (2.0 * window_s);
+                    rows.push(row(volts, before, sums, slope));
+                }
+            }
+        }
+    }
+    rows
+}
+
+struct Fit {
+    resistance: Estimate,
+    /// Below 0 where the counter falls.
+    constant: Estimate,
+}
+
+/// R, k and f by least squares, f held near 1.
+fn fit(rows: &[Row]) -> Option<Fit> {
+    let mut deviation = 0.0;
+    let mut found = None;
+    // Once to know the deviation, once more with it.
+    for _ in 0..2 {
+        let hold = deviation / DEAD_TIME;
+        let mut normal = Matrix3::zeros();
+        normal[(2, 2)] = hold * hold;
+        let mut right = Vector3::new(0.0, 0.0, hold * hold);
+        for row in rows {
+            let x = Vector3::new(row.current_a, row.speed_rad_s, row.dead_v) * row.weight;
+            normal += x * x.transpose();
+            right += x * (row.volts * row.weight);
+        }
+        let inverse = normal.try_inverse()?;
+        let solution = inverse * right;
+        let square: f64 = rows
+            .iter()
+            .map(|row| {
+                let x = Vector3::new(row.current_a, row.speed_rad_s, row.dead_v);
+                (row.weight * (row.volts - x.dot(&solution))).powi(2)
+            })
+            .sum();
+        deviation = (square / (rows.len() as f64 - 3.0)).sqrt();
+        found = Some((solution, inverse));
+    }
+    let (solution, inverse) = found?;
+    let of = |which: usize| {
+        let spread = deviation * inverse[(which, which)].max(0.0).sqrt();
+        estimate(solution[which], spread, SYSTEMATIC)
+    };
+    Some(Fit {
+        resistance: of(0),
+        constant: of(1),
+    })
+}

@@ -1,0 +1,573 @@
+//! A motor of three phases: resistance, the turn of the field, inductance, back-EMF.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::Matrix2;
+use plant_sim::identify::Estimate;
+use protocol::{Excitation, Sums};
+
+use super::refusal::{Phase, Refusal};
+use super::shared::{
+    Calibration, DEVIATIONS, Level, MOST_POLE_PAIRS, SYSTEMATIC, Times, angle, estimate, inductance_h, mean,
+};
+use super::sums::{self, PER_TURN, ripple_of_one, turned};
+use super::{Bench, Found, Step};
+
+const SEARCHING: Times = Times {
+    rise_s: 5e-3,
+    settle_s: 10e-3,
+    window_s: 10e-3,
+    windows: 2,
+};
+
+const MEASURING: Times = Times {
+    rise_s: 30e-3,
+    settle_s: 80e-3,
+    window_s: 10e-3,
+    windows: 12,
+};
+
+/// The part of the current limit at which the search ends.
+const SEARCH: f64 = 0.3;
+
+/// The part of the current limit that is used.
+const USED: f64 = 0.5;
+
+/// The spread of the three resistances that is accepted, as a part of their mean.
+const EQUAL: f64 = 0.15;
+
+/// A resistance may be wrong by this part of itself.
+const VAGUE: f64 = 0.1;
+
+/// The part of the used voltage that holds the rotor under a ripple.
+const HELD: f64 = 0.6;
+
+/// Windows in a turn of the slow field.
+const PER_FIELD_TURN: u16 = 16;
+
+/// Electrical turns of the slow field, either way, and how many a second.
+const FIELD_TURNS: u16 = 3;
+const FIELD_TURNS_S: f64 = 5.0;
+
+/// How far pole pairs may be from a whole number.
+const WHOLE: f64 = 0.12;
+
+/// How far the rotor may leave the line of its motion, electrical turns.
+const OFF_THE_LINE: f64 = 0.15;
+
+/// How much longer the way forth may be than the way back, as a part of it.
+const SAME_WAY: f64 = 0.02;
+
+/// How fast the shaft is turned at first, and at most, rad/s.
+const FIRST_SPIN_RAD_S: f64 = 8.0;
+const SPIN_RAD_S: f64 = 40.0;
+
+/// The part of the voltage that back-EMF is to have.
+const EMF_PART: f64 = 0.4;
+
+pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Found, B::Error> {
+    calibration.begin(Step::Resistance);
+    let (resistance, level) = resistance(calibration)?;
+    calibration.begin(Step::Turn);
+    let turn = turn(calibration, &level)?;
+    calibration.begin(Step::Inductance);
+    let [d, q] = inductance(calibration, &level, &resistance, &turn)?;
+    calibration.begin(Step::BackEmf);
+    let flux = flux(calibration, &level, &resistance, &turn, d.value)?;
+    let per_flux = 1.5 * f64::from(turn.pole_pairs);
+    let measured = Estimate {
+        value: per_flux * flux.value,
+        low: per_flux * flux.low,
+        high: per_flux * flux.high,
+    };
+    // ψ = 60/(2π√3 p Kv), and 3/2 p of it.
+    let by_kv = calibration
+        .told
+        .kv_rpm_v
+        .map(|kv| 1.5 * 60.0 / (TAU * 3.0_f64.sqrt() * kv));
+    Ok(Found {
+        zero_codes: calibration.scale.zero_codes,
+        noise_a: calibration.noise_a,
+        resistance_ohm: resistance,
+        d_inductance_h: d,
+        q_inductance_h: q,
+        pole_pairs: turn.pole_pairs,
+        reversed: turn.reversed,
+        zero_turns: turn.zero_turns,
+        torque_constant_nm_a: calibration.constant(measured, by_kv)?,
+        measured_constant_nm_a: measured,
+        current_of_bus_a: calibration.reach_v() / resistance.value,
+    })
+}
+
+/// R, and the level at which the rest is measured.
+fn resistance<B: Bench>(
+    calibration: &mut Calibration<'_, B>,
+) -> Result<(Estimate, Level), B::Error> {
+    let first = calibration.search(0.0, SEARCH, &SEARCHING)?;
+    connected(calibration, &first)?;
+    let limit_a = calibration.told.current_max_a;
+    let current_a = first.vector.re;
+    let volts = (first.volts * USED * limit_a / current_a).min(calibration.reach_v());
+    let expected_a = volts / first.volts * current_a;
+    let mut ohm = [0.0; 3];
+    let mut deviation = 0.0;
+    let mut high = None;
+    for (axis, ohm) in ohm.iter_mut().enumerate() {
+        let turns = axis as f64 / 3.0;
+        let along = |level: &Level| (level.vector * turned(-turns)).re;
+        let mut levels = [first; 2];
+        for (level, part) in levels.iter_mut().zip([1.0, 0.5]) {
+            let measured =
+                calibration.level(turns, part * volts, part * expected_a, &MEASURING)?;
+            *level = measured.ok_or_else(|| calibration.short(part * volts))?;
+        }
+        let [full, half] = levels;
+        let difference_a = along(&full) - along(&half);
+        *ohm = (full.volts - half.volts) / difference_a;
+        let deviation_a = 2.0_f64.sqrt() * 1.2 * calibration.deviation_a(full.periods);
+        deviation = *ohm * deviation_a / difference_a;
+        high.get_or_insert(full);
+    }
+    let (value, scatter) = mean(&ohm);
+    let most = ohm.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let least = ohm.iter().copied().fold(f64::INFINITY, f64::min);
+    if !(most - least <= EQUAL * value + 6.0 * deviation) {
+        return Err(Refusal::Unequal {
+            ohm,
+            accepted: EQUAL,
+        }
+        .into());
+    }
+    let found = estimate(
+        value,
+        (deviation * deviation / 3.0 + scatter * scatter).sqrt(),
+        SYSTEMATIC,
+    );
+    if !(found.half_width() <= VAGUE) {
+        return Err(Refusal::Vague {
+            name: "the resistance (Ω)",
+            low: found.low,
+            high: found.high,
+            advice: "allow more current, or a higher bus voltage; a motor of so high a resistance is to be driven by voltage, with the values of its data sheet",
+        }
+        .into());
+    }
+    Ok((found, high.unwrap_or(first)))
+}
+
+/// Whether all three phases bear current, from a voltage along phase A.
+fn connected<B: Bench>(
+    calibration: &mut Calibration<'_, B>,
+    level: &Level,
+) -> Result<(), B::Error> {
+    let nothing = calibration.nothing_a(level);
+    let [b, c] = level.currents.map(|current| current.abs() > nothing);
+    let (volts, codes) = (level.volts, calibration.scale.zero_codes);
+    if b && c {
+        return Ok(());
+    }
+    // Where it would flow if the silent phase were open: not at all along that phase.
+    let (phase, turns) = match (b, c) {
+        (false, true) => (Phase::B, 1.0 / 3.0),
+        (true, false) => (Phase::C, 2.0 / 3.0),
+        _ => (Phase::A, 0.25),
+    };
+    let other = calibration.search(turns, SEARCH, &SEARCHING)?;
+    let nothing = calibration.nothing_a(&other);
+    let [b, c] = other.currents;
+    let flows_a = match phase {
+        Phase::A => {
+            let flows = [b, c].map(|current| current.abs() > nothing);
+            return Err(match flows {
+                [true, true] => Refusal::Unplugged {
+                    phase: Phase::A,
+                    volts,
+                },
+                [false, false] => Refusal::NoCurrent { volts },
+                [true, false] => stuck(Phase::C, codes[1], b),
+                [false, true] => stuck(Phase::B, codes[0], c),
+            }
+            .into());
+        }
+        Phase::B => c,
+        Phase::C => b,
+    };
+    let code = if phase == Phase::B { codes[0] } else { codes[1] };
+    Err(if flows_a.abs() > nothing {
+        stuck(phase, code, flows_a)
+    } else {
+        Refusal::Unplugged { phase, volts }
+    }
+    .into())
+}
+
+fn stuck(phase: Phase, code: f64, current_a: f64) -> Refusal {
+    Refusal::Stuck {
+        phase,
+        code,
+        current_a,
+    }
+}
+
+/// What the slow turn of the field brought.
+struct Turn {
+    pole_pairs: u32,
+    reversed: bool,
+    zero_turns: Estimate,
+    counts_per_rev: f64,
+}
+
+impl Turn {
+    /// The rotor's electrical angle at a mean count, turns.
+    fn rotor_turns(&self, count: f64) -> f64 {
+        let sign = if self.reversed { -1.0 } else { 1.0 };
+        sign * f64::from(self.pole_pairs) * count / self.counts_per_rev + self.zero_turns.value
+    }
+}
+
+/// The count over the turns of the field: slope, and furthest distance from the line.
+fn line(points: &[(f64, f64)]) -> (f64, f64) {
+    let number = points.len() as f64;
+    let x = points.iter().map(|point| point.0).sum::<f64>() / number;
+    let y = points.iter().map(|point| point.1).sum::<f64>() / number;
+    let product: f64 = points.iter().map(|point| (point.0 - x) * (point.1 - y)).sum();
+    let square: f64 = points.iter().map(|point| (point.0 - x).powi(2)).sum();
+    let slope = product / square;
+    let off = |point: &(f64, f64)| (point.1 - y - slope * (point.0 - x)).abs();
+    (slope, points.iter().map(off).fold(0.0, f64::max))
+}
+
+fn turn<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result<Turn, B::Error> {
+    let window = calibration.ticks(1.0 / (FIELD_TURNS_S * f64::from(PER_FIELD_TURN)));
+    let step = PER_TURN / (f64::from(window) * f64::from(PER_FIELD_TURN));
+    // Half a turn more each way, in which the rotor comes along.
+    let lead = PER_FIELD_TURN / 2;
+    let each_way = FIELD_TURNS * PER_FIELD_TURN + lead;
+    let excitation = Excitation {
+        turn: step as i32,
+        back: true,
+        steady_v: level.volts as f32,
+        steady_a: level.vector.norm() as f32,
+        rise: calibration.ticks(50e-3),
+        settle: calibration.ticks(200e-3),
+        window,
+        windows: 2 * each_way,
+        ..calibration.nothing()
+    };
+    let windows = calibration.excite(&excitation)?;
+    let told_counts = f64::from(calibration.told.counts_per_rev);
+    let counts: Vec<f64> = windows.iter().map(|sums| sums::count(std::slice::from_ref(sums))).collect();
+    let ends = windows.iter().map(|sums| i64::from(sums.count));
+    let (least, most) = ends.fold((i64::MAX, i64::MIN), |(l, m), count| (l.min(count), m.max(count)));
+    // A whole turn of 50 pole pairs moves this far or more.
+    let expected = told_counts * f64::from(FIELD_TURNS) / f64::from(MOST_POLE_PAIRS);
+    let uneven = counts.iter().any(|count| (count - counts[0]).abs() > 1e-9);
+    if !uneven {
+        return Err(Refusal::NoMotion.into());
+    }
+    if most - least <= 2 && expected > 4.0 {
+        return Err(Refusal::Toggles {
+            counts: (most - least).max(1),
+        }
+        .into());
+    }
+    // The field's angle in the middle of each window, as turns from its start.
+    let mut field = Vec::with_capacity(windows.len());
+    let mut at = f64::NAN;
+    for (index, sums) in windows.iter().enumerate() {
+        let forth = index < usize::from(each_way);
+        let turn = if forth { step } else { -step } / PER_TURN;
+        let now = f64::from(sums.angle) / PER_TURN - 0.5 * turn * f64::from(window - 1);
+        let near = if at.is_nan() { now } else { at + turn * f64::from(window) };
+        at = now + (near - now).round();
+        field.push(at);
+    }
+    let way = |from: usize, to: usize| -> Vec<(f64, f64)> {
+        (from..to).map(|index| (field[index], counts[index])).collect()
+    };
+    let (first, lead) = (usize::from(each_way), usize::from(lead));
+    let forth = way(lead, first);
+    let home = way(first + lead, windows.len());
+    let ((slope_forth, off_forth), (slope_home, off_home)) = (line(&forth), line(&home));
+    let slope = 0.5 * (slope_forth + slope_home);
+    let current_a = level.vector.norm();
+    let moved = f64::from(FIELD_TURNS);
+    let pole_pairs = told_counts / slope.abs();
+    let off = off_forth.max(off_home) / slope.abs().max(1e-9);
+    if !(off <= OFF_THE_LINE) {
+        // A count that leaps is off one way only; a rotor that is held back is off both ways.
+        let differ = (slope_forth - slope_home).abs() > SAME_WAY * slope.abs();
+        let only_one = off_forth.max(off_home) > 4.0 * off_forth.min(off_home);
+        if pole_pairs < f64::from(2 * MOST_POLE_PAIRS) && (differ || only_one) {
+            return Err(Refusal::Slips {
+                there: moved * slope_forth.abs(),
+                back: moved * slope_home.abs(),
+            }
+            .into());
+        }
+        return Err(Refusal::Follows {
+            turns: off.min(f64::from(FIELD_TURNS)),
+            current_a,
+        }
+        .into());
+    }
+    if !((slope_forth - slope_home).abs() <= SAME_WAY * slope.abs()) {
+        return Err(Refusal::Slips {
+            there: moved * slope_forth.abs(),
+            back: moved * slope_home.abs(),
+        }
+        .into());
+    }
+    let whole = pole_pairs.round();
+    if !((pole_pairs - whole).abs() <= WHOLE && whole >= 1.0 && whole <= f64::from(MOST_POLE_PAIRS)) {
+        return Err(Refusal::NotWhole {
+            pole_pairs,
+            counts_per_rev: calibration.told.counts_per_rev,
+        }
+        .into());
+    }
+    let measured = whole as u32;
+    if let Some(told) = calibration.told.pole_pairs
+        && told != measured
+    {
+        return Err(Refusal::PolePairs {
+            measured,
+            told,
+            counts_per_rev: calibration.told.counts_per_rev,
+        }
+        .into());
+    }
+    let reversed = slope < 0.0;
+    let per_count = slope.signum() * whole / told_counts;
+    // Turn by turn, so that cogging is even over each.
+    let per_turn = usize::from(PER_FIELD_TURN);
+    let zeros = |way: &[(f64, f64)]| -> Vec<f64> {
+        let zero = |points: &[(f64, f64)]| {
+            let sum: f64 = points.iter().map(|(field, count)| field - per_count * count).sum();
+            sum / points.len() as f64
+        };
+        way.chunks_exact(per_turn).map(zero).collect()
+    };
+    let (forth, home) = (zeros(&forth), zeros(&home));
+    let ((ahead, ahead_off), (behind, behind_off)) = (mean(&forth), mean(&home));
+    let lag = 0.5 * (ahead - behind);
+    // A count that leapt between the ways leaves the rotor ahead of the field, or far behind it.
+    if !(-0.02..0.25).contains(&lag) {
+        let counts = whole_counts(lag, per_count);
+        return Err(Refusal::Slips {
+            there: moved * slope_forth.abs(),
+            back: moved * slope_home.abs() - counts,
+        }
+        .into());
+    }
+    let zero = (0.5 * (ahead + behind)).rem_euclid(1.0);
+    let half = DEVIATIONS * 0.5 * ahead_off.hypot(behind_off)
+        + 0.1 * lag.abs()
+        + 0.5 * per_count.abs()
+        + 1e-3;
+    Ok(Turn {
+        pole_pairs: measured,
+        reversed,
+        zero_turns: Estimate {
+            value: zero,
+            low: zero - half,
+            high: zero + half,
+        },
+        counts_per_rev: told_counts,
+    })
+}
+
+/// Counts of so many turns.
+fn whole_counts(turns: f64, per_count: f64) -> f64 {
+    (2.0 * turns / per_count).abs()
+}
+
+/// A ripple along the field and one across it, on a rotor that the field holds.
+fn inductance<B: Bench>(
+    calibration: &mut Calibration<'_, B>,
+    level: &Level,
+    resistance: &Estimate,
+    turn: &Turn,
+) -> Result<[Estimate; 2], B::Error> {
+    let held_v = HELD * level.volts;
+    let held = Excitation {
+        steady_a: (HELD * level.vector.norm()) as f32,
+        ..calibration.rippling(held_v)
+    };
+    // Even without inductance this one is no larger than the current that holds.
+    let first_v = held_v.min(0.1 * calibration.reach_v());
+    let volts = calibration.ripple_v(&held, first_v, calibration.reach_v() - held_v)?;
+    let long = Excitation {
+        settle: calibration.ticks(150e-3),
+        windows: 16,
+        ..held
+    };
+    let along = calibration.excite(&Excitation {
+        along_v: volts as f32,
+        ..long
+    })?;
+    let across = calibration.excite(&Excitation {
+        across_v: volts as f32,
+        ..long
+    })?;
+    let rotor = turn.rotor_turns(0.5 * (sums::count(&along) + sums::count(&across)));
+    let volts = ripple_of_one() * volts;
+    let both = |along: &[Sums], across: &[Sums]| -> Option<[f64; 2]> {
+        let [aa, ba] = calibration.scale.ripple(along);
+        let [ab, bb] = calibration.scale.ripple(across);
+        let admittance = Matrix2::new(aa / volts, ab / volts, ba / volts, bb / volts);
+        // (e^jω − a)/b, whose imaginary part is 1/b where e^jω = j.
+        let impedance = admittance.try_inverse()?.map(|z| z.im);
+        let (sine, cosine) = (TAU * rotor).sin_cos();
+        let to_rotor = Matrix2::new(cosine, sine, -sine, cosine);
+        let seen = to_rotor * impedance * to_rotor.transpose();
+        Some([seen[(0, 0)], seen[(1, 1)]])
+    };
+    let all = both(&along, &across);
+    let mut found = [Estimate { value: f64::NAN, low: f64::NAN, high: f64::NAN }; 2];
+    let groups: Vec<[f64; 2]> = along
+        .chunks(2)
+        .zip(across.chunks(2))
+        .filter_map(|(along, across)| both(along, across))
+        .collect();
+    for (axis, found) in found.iter_mut().enumerate() {
+        let Some(all) = all else { continue };
+        let scattered: Vec<f64> = groups.iter().map(|group| group[axis]).collect();
+        let (_, deviation) = mean(&scattered);
+        let value = inductance_h(calibration, resistance.value, all[axis]);
+        *found = estimate(value, value * deviation / all[axis], 0.02);
+    }
+    for (name, found) in [
+        ("the inductance along the rotor (H)", found[0]),
+        ("the inductance across the rotor (H)", found[1]),
+    ] {
+        if !(found.low > 0.0 && found.half_width() < 0.5) {
+            return Err(Refusal::Vague {
+                name,
+                low: found.low,
+                high: found.high,
+                advice: "allow more current, or a higher bus voltage",
+            }
+            .into());
+        }
+    }
+    Ok(found)
+}
+
+/// ψ: the voltage across the rotor's d axis that R i does not explain, over the speed, in a field that turns
+/// fast, either way.
+fn flux<B: Bench>(
+    calibration: &mut Calibration<'_, B>,
+    level: &Level,
+    resistance: &Estimate,
+    turn: &Turn,
+    d_inductance_h: f64,
+) -> Result<Estimate, B::Error> {
+    let fastest = SPIN_RAD_S * f64::from(turn.pole_pairs);
+    let held_v = resistance.value * level.vector.norm();
+    let mut speed = FIRST_SPIN_RAD_S * f64::from(turn.pole_pairs);
+    let mut found: Option<Estimate> = None;
+    for _ in 0..2 {
+        let ways = [1.0, -1.0].map(|sign| spin(calibration, level, resistance, turn, d_inductance_h, sign * speed));
+        let [forth, back] = ways;
+        let (Some(forth), Some(back)) = (forth?, back?) else {
+            break;
+        };
+        let (flux, scatter) = (0.5 * (forth.0 + back.0), 0.5 * forth.1.hypot(back.1));
+        // What the two ways differ by is what an angle that is off a little brings; its second order remains.
+        let half_difference = 0.5 * (forth.0 - back.0).abs();
+        found = Some(Estimate {
+            value: flux,
+            low: flux - DEVIATIONS * scatter - 0.1 * half_difference - 0.02 * flux.abs(),
+            high: flux + DEVIATIONS * scatter + 0.1 * half_difference + 0.02 * flux.abs(),
+        });
+        let best = (EMF_PART * held_v / flux.abs().max(1e-6)).min(fastest);
+        if speed > 0.7 * best {
+            break;
+        }
+        speed = best;
+    }
+    match found {
+        Some(found) if found.low > 0.0 && found.half_width() < 0.3 => Ok(found),
+        found => {
+            let (low, high) = found.map_or((0.0, f64::INFINITY), |found| (found.low, found.high));
+            Err(Refusal::Vague {
+                name: "the magnets' flux (Wb)",
+                low,
+                high,
+                advice: "the knob could not be turned fast enough to see it: friction, a hand, or a current limit too low",
+            }
+            .into())
+        }
+    }
+}
+
+/// ψ in a field that turns at `speed` (rad/s, electrical), and its standard deviation; None if the rotor did not
+/// follow.
+fn spin<B: Bench>(
+    calibration: &mut Calibration<'_, B>,
+    level: &Level,
+    resistance: &Estimate,
+    turn: &Turn,
+    d_inductance_h: f64,
+    speed: f64,
+) -> Result<Option<(f64, f64)>, B::Error> {
+    let period_s = f64::from(calibration.stage.pwm_period_s);
+    let window = (TAU / speed.abs() / period_s / 4.0).round() * 4.0;
+    let step = speed.signum() * PER_TURN / window;
+    let speed = TAU * step / PER_TURN / period_s;
+    let turns = (0.25 * speed.abs() / TAU).clamp(4.0, 100.0) as u16;
+    let excitation = Excitation {
+        angle: angle(0.0),
+        turn: step as i32,
+        steady_v: level.volts as f32,
+        steady_a: level.vector.norm() as f32,
+        rise: calibration.ticks(50e-3),
+        settle: calibration.ticks(0.3),
+        window: window as u16,
+        windows: turns,
+        ..calibration.nothing()
+    };
+    let recorded = calibration.try_excite(&excitation)?;
+    if recorded.windows.len() < usize::from(turns) {
+        return Ok(None);
+    }
+    let mut values = Vec::new();
+    let way = f64::from(recorded.windows[usize::from(turns) - 1].count.wrapping_sub(recorded.windows[0].count));
+    let moved = (way * f64::from(turn.pole_pairs) / turn.counts_per_rev).abs();
+    if (moved - f64::from(turns - 1)).abs() > 0.3 {
+        return Ok(None);
+    }
+    for sums in &recorded.windows {
+        let sums = std::slice::from_ref(sums);
+        let turned_by = step / PER_TURN;
+        // The field in the middle of the window, at the currents' moments; the voltage's mean lies half a period
+        // behind.
+        let field = f64::from(sums[0].angle) / PER_TURN - 0.5 * turned_by * (window - 1.0);
+        let rotor = turn.rotor_turns(sums::count(sums));
+        let to_rotor = turned(field - rotor);
+        let current = calibration.scale.turning(sums) * to_rotor;
+        // What is put for dead time lies along the voltage, what it takes along the current.
+        let put_v = level.volts + dead_v(calibration, level.vector.norm());
+        let volts = turned(-0.5 * turned_by) * to_rotor * put_v;
+        let dead_v = dead_v(calibration, current.norm());
+        let lost = current / current.norm().max(1e-9) * dead_v;
+        let q = volts.im - lost.im - resistance.value * current.im;
+        values.push(q / speed - d_inductance_h * current.re);
+    }
+    Ok(Some(mean(&values)))
+}
+
+/// The first harmonic of what dead time takes of the voltage of currents that turn, V.
+fn dead_v<B: Bench>(calibration: &Calibration<'_, B>, current_a: f64) -> f64 {
+    let edge = f64::from(calibration.stage.dead_edge_a);
+    let whole = f64::from(calibration.stage.dead_duty) * calibration.bus_v;
+    let ratio = current_a / edge;
+    if ratio <= 1.0 {
+        return whole * ratio;
+    }
+    // A sine of amplitude `ratio`, cut off at 1.
+    let cut = (1.0 / ratio).asin();
+    whole * 2.0 / PI * (ratio * cut + cut.cos())
+}
