@@ -249,7 +249,7 @@ fn report(seed: u64, case: &Case, result: &Result<Found, Refusal>, board: &Board
         Err(refusal) => format!("{seed} REFUSED {refusal} | {:?} max {} {:?} {:?}", case.setup.winding, case.told.current_max_a, case.setup.device, case.setup.motor),
         Ok(found) => {
             let one = |e: &Estimate, t: f64| format!("{}{:+.2}%±{:.1}", if holds(e, t) { ' ' } else { 'X' }, 100.0 * (e.value / t - 1.0), 100.0 * e.half_width());
-            let zero = {
+            let zero = if found.zero_turns.high == 0.0 { String::new() } else {
                 let off = (found.zero_turns.value - case.setup.encoder.zero_turns + 0.5).rem_euclid(1.0) - 0.5;
                 let half = 0.5 * (found.zero_turns.high - found.zero_turns.low);
                 format!("{}{:+.4}±{:.4}", if off.abs() <= half { ' ' } else { 'X' }, off, half)

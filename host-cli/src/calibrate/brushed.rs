@@ -29,7 +29,13 @@ const SEARCHING: Times = Times {
 
 /// The part of the current limit at which the search ends; where voltage turns round while it spins, twice
 /// as much flows.
-const SEARCH: f64 = 0.15;
+const SEARCH: f64 = 0.2;
+
+/// The fastest that it is meant to turn, rad/s.
+const SPIN_RAD_S: f64 = 60.0;
+
+/// How many times the voltage of the search is tried until it turns.
+const MORE: f64 = 2.5;
 
 /// Periods of 20 ms each way, in windows of a twelfth, and how many of them.
 const HALF_S: f64 = 20e-3;
@@ -39,21 +45,32 @@ const SHAKES: usize = 8;
 /// How far dead time may be from what is believed, as a part of it.
 const DEAD_TIME: f64 = 0.25;
 
+/// The same around the current from which all of it is lost.
+const UNSURE: f64 = 0.3;
+
+/// By how much a ripple across no current may be wrong, as dead time goes with the current's sign.
+const ACROSS_ZERO: f64 = 0.03;
+
 pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Found, B::Error> {
     calibration.begin(Step::Resistance);
     let level = calibration.search(B_TO_C, SEARCH, &SEARCHING)?;
     connected(calibration, &level)?;
     calibration.begin(Step::Inductance);
-    let (per_b, deviation) = ripple(calibration)?;
+    let ripple = ripple(calibration)?;
     calibration.begin(Step::BackEmf);
     let spun = spin(calibration, &level)?;
-    let rows = rows(calibration, &spun, per_b);
+    let rows = rows(calibration, &level, &spun, &ripple);
     let Fit {
         resistance,
         constant,
     } = fit(&rows).ok_or(Refusal::NoMotion)?;
-    let inductance = inductance_h(calibration, resistance.value, per_b);
-    let inductance = estimate(inductance, inductance * deviation / per_b, 0.02);
+    let Ripple {
+        quarter,
+        x_ohm,
+        deviation_ohm,
+    } = ripple;
+    let inductance = inductance_h(&calibration.stage, resistance.value, quarter, x_ohm);
+    let inductance = estimate(inductance, inductance * deviation_ohm / x_ohm, ACROSS_ZERO);
     let reversed = constant.value < 0.0;
     let measured = if reversed {
         Estimate {
@@ -117,11 +134,10 @@ fn connected<B: Bench>(
             // Three phases: along A current flows too.
             let along = calibration.level(0.0, level.volts, 0.0, &SEARCHING)?;
             let along = along.ok_or_else(|| calibration.short(level.volts))?;
-            let sum_a = (b_a + c_a).abs();
-            if sum_a > nothing.max(0.2 * b_a.abs()) || along.most_a() > nothing.max(0.2 * b_a.abs())
-            {
-                let [b_a, c_a] = along.currents;
-                return Err(Refusal::Sum { b_a, c_a }.into());
+            for [b_a, c_a] in [level.currents, along.currents] {
+                if (b_a + c_a).abs() > nothing.max(0.2 * level.most_a()) {
+                    return Err(Refusal::Sum { b_a, c_a }.into());
+                }
             }
             return Ok(());
         }
@@ -145,25 +161,36 @@ fn connected<B: Bench>(
     .into())
 }
 
-/// 1/b of the current's answer to voltage, i⁺ = a i + b v, and its standard deviation.
-fn ripple<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<(f64, f64), B::Error> {
+/// The reactance of the winding under a ripple of a quarter of so many periods.
+struct Ripple {
+    quarter: u16,
+    x_ohm: f64,
+    deviation_ohm: f64,
+}
+
+fn ripple<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Ripple, B::Error> {
     let held = Excitation {
         angle: angle(B_TO_C),
         ..calibration.rippling(0.0)
     };
-    let volts = calibration.ripple_v(&held, 0.05, calibration.reach_v())?;
+    let (volts, quarter) = calibration.find_ripple(&held, 0.05, calibration.reach_v())?;
     let windows = calibration.excite(&Excitation {
         along_v: volts as f32,
+        quarter,
         windows: 16,
         ..held
     })?;
     // Of the current from B to C, and of the voltage there.
-    let per_b = |windows: &[Sums]| {
+    let reactance = |windows: &[Sums]| {
         let [_, beta] = calibration.scale.ripple(windows);
         (ripple_of_one() * (3.0_f64.sqrt() * volts) / (beta * 0.75_f64.sqrt())).im
     };
-    let groups: Vec<f64> = windows.chunks(2).map(per_b).collect();
-    Ok((per_b(&windows), mean(&groups).1))
+    let groups: Vec<f64> = windows.chunks(2).map(reactance).collect();
+    Ok(Ripple {
+        quarter,
+        x_ohm: reactance(&windows),
+        deviation_ohm: mean(&groups).1,
+    })
 }
 
 /// What was recorded while it spun: shakes forth and back, and a steady voltage either way.
@@ -178,17 +205,34 @@ fn spin<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
         shakes: Vec::new(),
         steady: Vec::new(),
     };
-    for sign in [1.0, -1.0] {
-        let volts = sign * level.volts;
-        let windows = calibration.excite(&Excitation {
-            angle: angle(B_TO_C),
-            steady_v: volts as f32,
-            settle: calibration.ticks(0.2),
-            window: calibration.ticks(10e-3),
-            windows: 10,
-            ..calibration.nothing()
-        })?;
-        spun.steady.push((volts, windows));
+    // As much faster as it may, so that dead time is little beside it.
+    let mut volts = level.volts;
+    for _ in 0..4 {
+        let mut fastest_rad_s = 0.0_f64;
+        for volts in [volts, -volts] {
+            let windows = calibration.excite(&Excitation {
+                angle: angle(B_TO_C),
+                steady_v: volts as f32,
+                rise: calibration.ticks(50e-3),
+                settle: calibration.ticks(0.1),
+                window: calibration.ticks(10e-3),
+                windows: 10,
+                ..calibration.nothing()
+            })?;
+            if let (Some(first), Some(last)) = (windows.first(), windows.last()) {
+                let way = f64::from(last.count.wrapping_sub(first.count)).abs();
+                let time_s = 90e-3;
+                let count_rad = TAU / f64::from(calibration.told.counts_per_rev);
+                fastest_rad_s = fastest_rad_s.max(way * count_rad / time_s);
+            }
+            spun.steady.push((volts, windows));
+        }
+        let most_v = calibration.reach_v();
+        let more = (SPIN_RAD_S / fastest_rad_s.max(1e-3)).min(MORE);
+        if more < 1.3 || volts >= 0.999 * most_v {
+            break;
+        }
+        volts = (more * volts).min(most_v);
     }
     let ends = spun.steady.iter().flat_map(|(_, windows)| windows);
     let ends = ends.map(|sums| i64::from(sums.count));
@@ -229,8 +273,9 @@ fn spin<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
     Ok(spun)
 }
 
-/// v = R i + L i' + k ω + f·(what dead time is believed to take), weighted by the periods of a window.
+/// v = R i + L i' + k ω + f·(what dead time is believed to take).
 struct Row {
+    /// 1/(standard deviation of the volts), 1/V.
     weight: f64,
     /// v − L i', V.
     volts: f64,
@@ -241,15 +286,17 @@ struct Row {
 
 fn rows<B: Bench>(
     calibration: &Calibration<'_, B>,
+    level: &Level,
     spun: &Spun,
-    per_b: f64,
+    ripple: &Ripple,
 ) -> Vec<Row> {
     let period_s = f64::from(calibration.stage.pwm_period_s);
     let edge_a = f64::from(calibration.stage.dead_edge_a);
     let dead_v = 2.0 * f64::from(calibration.stage.dead_duty) * calibration.bus_v;
     let count_rad = TAU / f64::from(calibration.told.counts_per_rev);
-    // Near enough for what is left of i' after the first window.
-    let inductance_h = per_b * period_s;
+    // Near enough for the noise, and for what is left of i' after the first window.
+    let near_ohm = 3.0_f64.sqrt() * level.volts / level.most_a();
+    let near_h = inductance_h(&calibration.stage, near_ohm, ripple.quarter, ripple.x_ohm);
     let current = |sums: &Sums| {
         let [b, c] = calibration.scale.currents(std::slice::from_ref(sums));
         0.5 * (b - c)
@@ -258,9 +305,13 @@ fn rows<B: Bench>(
         let periods = sums::periods(std::slice::from_ref(sums));
         let way = f64::from(sums.count.wrapping_sub(before.count));
         let current_a = current(sums);
+        let ratio = current_a.abs() / edge_a;
+        // Around the edge it is not known what dead time takes.
+        let unsure = if ratio < 2.0 { UNSURE * ratio.min(1.0) } else { 0.02 };
+        let noise_v = near_ohm * calibration.deviation_a(2.0 * periods);
         Row {
-            weight: periods.sqrt(),
-            volts: 3.0_f64.sqrt() * volts - inductance_h * slope_a_s,
+            weight: 1.0 / noise_v.hypot(unsure * dead_v),
+            volts: 3.0_f64.sqrt() * volts - near_h * slope_a_s,
             current_a,
             speed_rad_s: way * count_rad / (periods * period_s),
             dead_v: dead_v * (current_a / edge_a).clamp(-1.0, 1.0),
@@ -298,9 +349,9 @@ struct Fit {
 
 /// R, k and f by least squares, f held near 1.
 fn fit(rows: &[Row]) -> Option<Fit> {
-    let mut deviation = 0.0;
+    let mut deviation = 1.0_f64;
     let mut found = None;
-    // Once to know the deviation, once more with it.
+    // Once to know by how much rows are wrong beyond their own deviations, once more with it.
     for _ in 0..2 {
         let hold = deviation / DEAD_TIME;
         let mut normal = Matrix3::zeros();
@@ -320,7 +371,7 @@ fn fit(rows: &[Row]) -> Option<Fit> {
                 (row.weight * (row.volts - x.dot(&solution))).powi(2)
             })
             .sum();
-        deviation = (square / (rows.len() as f64 - 3.0)).sqrt();
+        deviation = (square / (rows.len() as f64 - 3.0)).sqrt().max(1.0);
         found = Some((solution, inverse));
     }
     let (solution, inverse) = found?;

@@ -5,6 +5,7 @@
 //! sums do not support is a [`Refusal`] with the reason.
 
 mod brushed;
+mod flux;
 mod refusal;
 mod shared;
 mod sums;

@@ -50,6 +50,8 @@ pub(super) struct Calibration<'a, B> {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Level {
     pub volts: f64,
+    /// For which dead time was made up, A.
+    pub expected_a: f64,
     /// Of B and C, A.
     pub currents: [f64; 2],
     pub vector: Vector,
@@ -288,6 +290,7 @@ impl<'a, B: Bench> Calibration<'a, B> {
         self.bus_v = sums::bus_v(&recorded.windows);
         Ok(Some(Level {
             volts,
+            expected_a,
             currents: self.scale.currents(&recorded.windows),
             vector: self.scale.vector(&recorded.windows),
             periods: sums::periods(&recorded.windows),
@@ -319,20 +322,21 @@ impl<'a, B: Bench> Calibration<'a, B> {
             quarter: 1,
             rise: self.ticks(30e-3),
             settle: self.ticks(50e-3),
-            window: self.ticks(20e-3) / 4 * 4,
+            window: self.ticks(20e-3) / 32 * 32,
             windows: 2,
             ..self.nothing()
         }
     }
 
-    /// The ripple along the steady voltage, up to `most_v`, that drives `RIPPLE` of the current limit; from
-    /// one on that surely does not.
-    pub fn ripple_v(
+    /// The ripple along the steady voltage, up to `most_v`, that drives `RIPPLE` of the current limit, from
+    /// one on that surely does not; and the quarter of its period, longer than one period if that voltage
+    /// drives too little.
+    pub fn find_ripple(
         &mut self,
         held: &Excitation,
         first_v: f64,
         most_v: f64,
-    ) -> Result<f64, B::Error> {
+    ) -> Result<(f64, u16), B::Error> {
         let aim_a = RIPPLE * self.told.current_max_a;
         let mut volts = first_v.min(most_v);
         loop {
@@ -343,8 +347,12 @@ impl<'a, B: Bench> Calibration<'a, B> {
             // Twice the amplitude.
             let [alpha, beta] = self.scale.ripple(&windows);
             let current_a = 0.5 * alpha.norm().hypot(beta.norm());
-            if current_a >= 0.5 * aim_a || volts >= 0.999 * most_v {
-                return Ok(volts);
+            if current_a >= 0.5 * aim_a {
+                return Ok((volts, 1));
+            }
+            if volts >= 0.999 * most_v {
+                let quarter = if current_a >= 0.25 * aim_a { 2 } else { 4 };
+                return Ok((volts, quarter));
             }
             let larger = (aim_a / current_a.max(1e-3 * aim_a)).min(4.0);
             volts = (volts * larger).min(most_v);
@@ -405,14 +413,40 @@ impl Level {
     }
 }
 
-/// L from 1/b, b = (1 − e^(−RT/L))/R.
-pub(super) fn inductance_h<B: Bench>(
-    calibration: &Calibration<'_, B>,
+/// L of a winding with a resistance whose current answers a ripple, of a quarter of so many periods, with
+/// the reactance `x_ohm`: the imaginary part of ripple over answer, in [`Scale::ripple`]'s measure.
+///
+/// i⁺ = a i + (1 − a) v/R, a = e^(−RT/L). With h periods in a quarter and the voltage ±V, half a period from i₀ on is
+/// i = V/R + (i₀ − V/R) aᵏ, and ends at −i₀. The reactance grows with L, by which it is bisected.
+pub(super) fn inductance_h(
+    stage: &PowerStage,
     resistance_ohm: f64,
-    per_b: f64,
+    quarter: u16,
+    x_ohm: f64,
 ) -> f64 {
-    let period_s = f64::from(calibration.stage.pwm_period_s);
-    -resistance_ohm * period_s / (-resistance_ohm / per_b).ln_1p()
+    let period_s = f64::from(stage.pwm_period_s);
+    let h = i32::from(quarter);
+    let reactance = |inductance_h: f64| {
+        let rate = resistance_ohm * period_s / inductance_h;
+        let a = (-rate).exp();
+        let whole = 1.0 / resistance_ohm;
+        let half = a.powi(2 * h);
+        let from = -whole * (1.0 - half) / (1.0 + half) - whole;
+        let mean = (1.0 - a.powi(h)) / (f64::from(h) * -(-rate).exp_m1());
+        let first = whole + from * mean;
+        let second = whole + from * mean * a.powi(h);
+        (sums::ripple_of_one() / (2.0 * Vector::new(first, -second))).im
+    };
+    let (mut low, mut high) = (1e-8_f64, 10.0_f64);
+    for _ in 0..100 {
+        let middle = (low * high).sqrt();
+        if reactance(middle) < x_ohm {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    low
 }
 
 /// Turns in 2⁻³².

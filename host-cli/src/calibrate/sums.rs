@@ -97,8 +97,8 @@ impl Scale {
         clarke(self.currents(windows))
     }
 
-    /// The answer to a ripple whose quarters are one period long: the first bin of α's and of β's discrete
-    /// Fourier transform over the four quarters, times 2.
+    /// The answer to a ripple: the first bin of α's and of β's discrete Fourier transform over the means of the
+    /// four quarters, which is twice the amplitude where a quarter is one period.
     pub fn ripple(&self, windows: &[Sums]) -> [Vector; 2] {
         let mut bins = [Vector::new(0.0, 0.0); 2];
         let mut turned = Vector::new(1.0, 0.0);

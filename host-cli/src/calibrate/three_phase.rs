@@ -1,6 +1,6 @@
 //! A motor of three phases: resistance, the turn of the field, inductance, back-EMF.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use nalgebra::Matrix2;
 use plant_sim::identify::Estimate;
@@ -8,10 +8,10 @@ use protocol::{Excitation, Sums};
 
 use super::refusal::{Phase, Refusal};
 use super::shared::{
-    Calibration, DEVIATIONS, Level, MOST_POLE_PAIRS, SYSTEMATIC, Times, angle, estimate, inductance_h, mean,
+    Calibration, DEVIATIONS, Level, MOST_POLE_PAIRS, SYSTEMATIC, Times, estimate, inductance_h, mean,
 };
 use super::sums::{self, PER_TURN, ripple_of_one, turned};
-use super::{Bench, Found, Step};
+use super::{Bench, Found, Step, flux};
 
 const SEARCHING: Times = Times {
     rise_s: 5e-3,
@@ -58,13 +58,6 @@ const OFF_THE_LINE: f64 = 0.15;
 /// How much longer the way forth may be than the way back, as a part of it.
 const SAME_WAY: f64 = 0.02;
 
-/// How fast the shaft is turned at first, and at most, rad/s.
-const FIRST_SPIN_RAD_S: f64 = 8.0;
-const SPIN_RAD_S: f64 = 40.0;
-
-/// The part of the voltage that back-EMF is to have.
-const EMF_PART: f64 = 0.4;
-
 pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Found, B::Error> {
     calibration.begin(Step::Resistance);
     let (resistance, level) = resistance(calibration)?;
@@ -73,7 +66,7 @@ pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<
     calibration.begin(Step::Inductance);
     let [d, q] = inductance(calibration, &level, &resistance, &turn)?;
     calibration.begin(Step::BackEmf);
-    let flux = flux(calibration, &level, &resistance, &turn, d.value)?;
+    let flux = flux::measure(calibration, &level, resistance.value, &turn, &d)?;
     let per_flux = 1.5 * f64::from(turn.pole_pairs);
     let measured = Estimate {
         value: per_flux * flux.value,
@@ -211,16 +204,16 @@ fn stuck(phase: Phase, code: f64, current_a: f64) -> Refusal {
 }
 
 /// What the slow turn of the field brought.
-struct Turn {
-    pole_pairs: u32,
+pub(super) struct Turn {
+    pub pole_pairs: u32,
     reversed: bool,
     zero_turns: Estimate,
-    counts_per_rev: f64,
+    pub counts_per_rev: f64,
 }
 
 impl Turn {
     /// The rotor's electrical angle at a mean count, turns.
-    fn rotor_turns(&self, count: f64) -> f64 {
+    pub fn rotor_turns(&self, count: f64) -> f64 {
         let sign = if self.reversed { -1.0 } else { 1.0 };
         sign * f64::from(self.pole_pairs) * count / self.counts_per_rev + self.zero_turns.value
     }
@@ -397,8 +390,10 @@ fn inductance<B: Bench>(
     };
     // Even without inductance this one is no larger than the current that holds.
     let first_v = held_v.min(0.1 * calibration.reach_v());
-    let volts = calibration.ripple_v(&held, first_v, calibration.reach_v() - held_v)?;
+    let most_v = calibration.reach_v() - held_v;
+    let (volts, quarter) = calibration.find_ripple(&held, first_v, most_v)?;
     let long = Excitation {
+        quarter,
         settle: calibration.ticks(150e-3),
         windows: 16,
         ..held
@@ -417,7 +412,6 @@ fn inductance<B: Bench>(
         let [aa, ba] = calibration.scale.ripple(along);
         let [ab, bb] = calibration.scale.ripple(across);
         let admittance = Matrix2::new(aa / volts, ab / volts, ba / volts, bb / volts);
-        // (e^jω − a)/b, whose imaginary part is 1/b where e^jω = j.
         let impedance = admittance.try_inverse()?.map(|z| z.im);
         let (sine, cosine) = (TAU * rotor).sin_cos();
         let to_rotor = Matrix2::new(cosine, sine, -sine, cosine);
@@ -435,7 +429,7 @@ fn inductance<B: Bench>(
         let Some(all) = all else { continue };
         let scattered: Vec<f64> = groups.iter().map(|group| group[axis]).collect();
         let (_, deviation) = mean(&scattered);
-        let value = inductance_h(calibration, resistance.value, all[axis]);
+        let value = inductance_h(&calibration.stage, resistance.value, quarter, all[axis]);
         *found = estimate(value, value * deviation / all[axis], 0.02);
     }
     for (name, found) in [
@@ -453,121 +447,4 @@ fn inductance<B: Bench>(
         }
     }
     Ok(found)
-}
-
-/// ψ: the voltage across the rotor's d axis that R i does not explain, over the speed, in a field that turns
-/// fast, either way.
-fn flux<B: Bench>(
-    calibration: &mut Calibration<'_, B>,
-    level: &Level,
-    resistance: &Estimate,
-    turn: &Turn,
-    d_inductance_h: f64,
-) -> Result<Estimate, B::Error> {
-    let fastest = SPIN_RAD_S * f64::from(turn.pole_pairs);
-    let held_v = resistance.value * level.vector.norm();
-    let mut speed = FIRST_SPIN_RAD_S * f64::from(turn.pole_pairs);
-    let mut found: Option<Estimate> = None;
-    for _ in 0..2 {
-        let ways = [1.0, -1.0].map(|sign| spin(calibration, level, resistance, turn, d_inductance_h, sign * speed));
-        let [forth, back] = ways;
-        let (Some(forth), Some(back)) = (forth?, back?) else {
-            break;
-        };
-        let (flux, scatter) = (0.5 * (forth.0 + back.0), 0.5 * forth.1.hypot(back.1));
-        // What the two ways differ by is what an angle that is off a little brings; its second order remains.
-        let half_difference = 0.5 * (forth.0 - back.0).abs();
-        found = Some(Estimate {
-            value: flux,
-            low: flux - DEVIATIONS * scatter - 0.1 * half_difference - 0.02 * flux.abs(),
-            high: flux + DEVIATIONS * scatter + 0.1 * half_difference + 0.02 * flux.abs(),
-        });
-        let best = (EMF_PART * held_v / flux.abs().max(1e-6)).min(fastest);
-        if speed > 0.7 * best {
-            break;
-        }
-        speed = best;
-    }
-    match found {
-        Some(found) if found.low > 0.0 && found.half_width() < 0.3 => Ok(found),
-        found => {
-            let (low, high) = found.map_or((0.0, f64::INFINITY), |found| (found.low, found.high));
-            Err(Refusal::Vague {
-                name: "the magnets' flux (Wb)",
-                low,
-                high,
-                advice: "the knob could not be turned fast enough to see it: friction, a hand, or a current limit too low",
-            }
-            .into())
-        }
-    }
-}
-
-/// ψ in a field that turns at `speed` (rad/s, electrical), and its standard deviation; None if the rotor did not
-/// follow.
-fn spin<B: Bench>(
-    calibration: &mut Calibration<'_, B>,
-    level: &Level,
-    resistance: &Estimate,
-    turn: &Turn,
-    d_inductance_h: f64,
-    speed: f64,
-) -> Result<Option<(f64, f64)>, B::Error> {
-    let period_s = f64::from(calibration.stage.pwm_period_s);
-    let window = (TAU / speed.abs() / period_s / 4.0).round() * 4.0;
-    let step = speed.signum() * PER_TURN / window;
-    let speed = TAU * step / PER_TURN / period_s;
-    let turns = (0.25 * speed.abs() / TAU).clamp(4.0, 100.0) as u16;
-    let excitation = Excitation {
-        angle: angle(0.0),
-        turn: step as i32,
-        steady_v: level.volts as f32,
-        steady_a: level.vector.norm() as f32,
-        rise: calibration.ticks(50e-3),
-        settle: calibration.ticks(0.3),
-        window: window as u16,
-        windows: turns,
-        ..calibration.nothing()
-    };
-    let recorded = calibration.try_excite(&excitation)?;
-    if recorded.windows.len() < usize::from(turns) {
-        return Ok(None);
-    }
-    let mut values = Vec::new();
-    let way = f64::from(recorded.windows[usize::from(turns) - 1].count.wrapping_sub(recorded.windows[0].count));
-    let moved = (way * f64::from(turn.pole_pairs) / turn.counts_per_rev).abs();
-    if (moved - f64::from(turns - 1)).abs() > 0.3 {
-        return Ok(None);
-    }
-    for sums in &recorded.windows {
-        let sums = std::slice::from_ref(sums);
-        let turned_by = step / PER_TURN;
-        // The field in the middle of the window, at the currents' moments; the voltage's mean lies half a period
-        // behind.
-        let field = f64::from(sums[0].angle) / PER_TURN - 0.5 * turned_by * (window - 1.0);
-        let rotor = turn.rotor_turns(sums::count(sums));
-        let to_rotor = turned(field - rotor);
-        let current = calibration.scale.turning(sums) * to_rotor;
-        // What is put for dead time lies along the voltage, what it takes along the current.
-        let put_v = level.volts + dead_v(calibration, level.vector.norm());
-        let volts = turned(-0.5 * turned_by) * to_rotor * put_v;
-        let dead_v = dead_v(calibration, current.norm());
-        let lost = current / current.norm().max(1e-9) * dead_v;
-        let q = volts.im - lost.im - resistance.value * current.im;
-        values.push(q / speed - d_inductance_h * current.re);
-    }
-    Ok(Some(mean(&values)))
-}
-
-/// The first harmonic of what dead time takes of the voltage of currents that turn, V.
-fn dead_v<B: Bench>(calibration: &Calibration<'_, B>, current_a: f64) -> f64 {
-    let edge = f64::from(calibration.stage.dead_edge_a);
-    let whole = f64::from(calibration.stage.dead_duty) * calibration.bus_v;
-    let ratio = current_a / edge;
-    if ratio <= 1.0 {
-        return whole * ratio;
-    }
-    // A sine of amplitude `ratio`, cut off at 1.
-    let cut = (1.0 / ratio).asin();
-    whole * 2.0 / PI * (ratio * cut + cut.cos())
 }
