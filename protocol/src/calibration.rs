@@ -49,8 +49,9 @@ pub struct Excitation {
     pub back: bool,
     /// The steady voltage, V.
     pub steady_v: f32,
-    /// The current that it is thought to drive, by which dead time is made up for, A; 0: it is not.
-    pub steady_a: f32,
+    /// The current that it is thought to drive, along it and a quarter of a turn ahead, by which dead time is made
+    /// up for, A; 0 and 0: it is not.
+    pub steady_a: [f32; 2],
     /// The ripple along the steady voltage, V.
     pub along_v: f32,
     /// The ripple a quarter of a turn ahead of it, V.

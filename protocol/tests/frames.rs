@@ -61,7 +61,7 @@ const EXCITATION: Excitation = Excitation {
     turn: -65_536,
     back: true,
     steady_v: 0.5,
-    steady_a: 2.0,
+    steady_a: [2.0, -0.5],
     along_v: 0.25,
     across_v: 0.0,
     quarter: 1,

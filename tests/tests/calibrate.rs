@@ -118,7 +118,7 @@ struct Case {
 
 /// What every board and every encoder has.
 fn around(dice: &mut Dice, winding: Winding, device: Device<f64>, motor: Motor) -> Setup {
-    let dead_time_s = ODRIVE_V3_24V.dead_time_s * dice.between(0.8, 1.2);
+    let dead_time_s = ODRIVE_V3_24V.dead_time_s * dice.between(0.8, 1.2) * std::env::var("DT").map_or(1.0, |d| d.parse().unwrap());
     Setup {
         device,
         motor,
@@ -204,8 +204,8 @@ fn brushed(seed: u64) -> Case {
     let mut dice = Dice(seed ^ 0xB205_4ED0);
     let resistance_ohm = dice.log(0.3, 10.0);
     let inductance_h = resistance_ohm * dice.log(0.15e-3, 0.8e-3);
-    let torque_constant_nm_a = resistance_ohm.sqrt() * dice.between(0.015, 0.05);
-    let current_max_a = dice.between(2.0, 5.0) * resistance_ohm.powf(-0.25);
+    let torque_constant_nm_a = resistance_ohm.sqrt() * dice.between(0.015, 0.04);
+    let current_max_a = dice.between(3.0, 6.0) * resistance_ohm.powf(-0.4);
     let winding = Winding::Brushed(BrushedMotor {
         resistance_ohm,
         inductance_h,
@@ -213,7 +213,7 @@ fn brushed(seed: u64) -> Case {
     });
     let torque_nm = torque_constant_nm_a * 0.15 * current_max_a;
     let device = Device {
-        inertia_kg_m2: dice.log(3e-6, 3e-5),
+        inertia_kg_m2: dice.log(5e-6, 4e-5),
         viscous_nm_s_rad: dice.log(1e-6, 1e-5),
         coulomb_nm: torque_nm * dice.between(0.02, 0.4),
     };

@@ -319,8 +319,8 @@ impl Run {
         );
         let volts = volts.turned(there);
         let currents = Rotating {
-            d: share * asked.steady_a,
-            q: 0.0,
+            d: share * asked.steady_a[0],
+            q: share * asked.steady_a[1],
         };
         let duties = self.modulator.three_phase(
             Stationary {

@@ -33,8 +33,10 @@ pub(super) fn check(asked: &Excitation, facts: &StageFacts) -> Result<(), Excita
         }
     }
     let most = facts.current_linear_a;
-    if !(f64::from(asked.steady_a.abs()) <= most) {
-        return Err(ExcitationError::Current(asked.steady_a));
+    for current in asked.steady_a {
+        if !(f64::from(current.abs()) <= most) {
+            return Err(ExcitationError::Current(current));
+        }
     }
     if !(asked.current_max_a > 0.0 && f64::from(asked.current_max_a) <= most) {
         return Err(ExcitationError::Current(asked.current_max_a));

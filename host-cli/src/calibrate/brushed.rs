@@ -21,9 +21,9 @@ const B_TO_C: f64 = 0.25;
 
 /// So short that the motor hardly turns.
 const SEARCHING: Times = Times {
-    rise_s: 0.5e-3,
-    settle_s: 2e-3,
-    window_s: 1e-3,
+    rise_s: 0.1e-3,
+    settle_s: 0.5e-3,
+    window_s: 0.5e-3,
     windows: 2,
 };
 
@@ -37,10 +37,14 @@ const SPIN_RAD_S: f64 = 60.0;
 /// How many times the voltage of the search is tried until it turns.
 const MORE: f64 = 2.5;
 
-/// Periods of 20 ms each way, in windows of a twelfth, and how many of them.
-const HALF_S: f64 = 20e-3;
+/// Of a push from rest: how long the current rises, windows, and how many pushes.
+const RISE_S: f64 = 1.5e-3;
+const WINDOW_S: f64 = 1.7e-3;
 const WINDOWS: u16 = 12;
-const SHAKES: usize = 8;
+const PUSHES: usize = 12;
+
+/// The part of the current limit that a push may reach, and what a spin may have when it is shorted.
+const PUSHED: f64 = 0.6;
 
 /// How far dead time may be from what is believed, as a part of it.
 const DEAD_TIME: f64 = 0.25;
@@ -49,7 +53,7 @@ const DEAD_TIME: f64 = 0.25;
 const UNSURE: f64 = 0.3;
 
 /// By how much a ripple across no current may be wrong, as dead time goes with the current's sign.
-const ACROSS_ZERO: f64 = 0.03;
+const ACROSS_ZERO: f64 = 0.06;
 
 pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Found, B::Error> {
     calibration.begin(Step::Resistance);
@@ -193,20 +197,22 @@ fn ripple<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Ripple, B::E
     })
 }
 
-/// What was recorded while it spun: shakes forth and back, and a steady voltage either way.
+/// What was recorded: pushes from rest, and a steady voltage, each either way.
 struct Spun {
-    shakes: Vec<(f64, Vec<Sums>)>,
+    pushes: Vec<(f64, Vec<Sums>)>,
     steady: Vec<(f64, Vec<Sums>)>,
 }
 
 fn spin<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result<Spun, B::Error> {
-    let half = calibration.ticks(HALF_S) / (2 * WINDOWS) * (2 * WINDOWS);
+    // The current that a voltage drives at rest is known from the search.
+    let most_v = PUSHED * calibration.told.current_max_a / level.most_a() * level.volts;
+    let most_v = most_v.min(calibration.reach_v());
     let mut spun = Spun {
-        shakes: Vec::new(),
+        pushes: Vec::new(),
         steady: Vec::new(),
     };
     // As much faster as it may, so that dead time is little beside it.
-    let mut volts = level.volts;
+    let mut volts = level.volts.min(most_v);
     for _ in 0..4 {
         let mut fastest_rad_s = 0.0_f64;
         for volts in [volts, -volts] {
@@ -227,7 +233,6 @@ fn spin<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
             }
             spun.steady.push((volts, windows));
         }
-        let most_v = calibration.reach_v();
         let more = (SPIN_RAD_S / fastest_rad_s.max(1e-3)).min(MORE);
         if more < 1.3 || volts >= 0.999 * most_v {
             break;
@@ -251,24 +256,27 @@ fn spin<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
         }
         .into());
     }
-    for shake in 0..SHAKES {
-        let volts = if shake % 2 == 0 {
-            level.volts
-        } else {
-            -level.volts
-        };
-        // Half a period of its own before the windows, then one of each sign.
-        let windows = calibration.excite(&Excitation {
-            angle: angle(B_TO_C),
-            along_v: volts as f32,
-            quarter: half / 2,
+    let expected_a = PUSHED * calibration.told.current_max_a;
+    for push in 0..PUSHES {
+        // Shorted, it comes to rest.
+        calibration.excite(&Excitation {
             rise: 1,
-            settle: half,
-            window: half / WINDOWS,
-            windows: 2 * WINDOWS,
+            settle: calibration.ticks(40e-3),
+            windows: 1,
             ..calibration.nothing()
         })?;
-        spun.shakes.push((volts, windows));
+        let sign = if push % 2 == 0 { 1.0 } else { -1.0 };
+        let windows = calibration.excite(&Excitation {
+            angle: angle(B_TO_C),
+            steady_v: (sign * most_v) as f32,
+            steady_a: [(sign * expected_a) as f32, 0.0],
+            rise: 2,
+            settle: calibration.ticks(RISE_S),
+            window: calibration.ticks(WINDOW_S),
+            windows: WINDOWS,
+            ..calibration.nothing()
+        })?;
+        spun.pushes.push((sign * most_v, windows));
     }
     Ok(spun)
 }
@@ -311,7 +319,7 @@ fn rows<B: Bench>(
         let noise_v = near_ohm * calibration.deviation_a(2.0 * periods);
         Row {
             weight: 1.0 / noise_v.hypot(unsure * dead_v),
-            volts: 3.0_f64.sqrt() * volts - near_h * slope_a_s,
+            volts: volts - near_h * slope_a_s,
             current_a,
             speed_rad_s: way * count_rad / (periods * period_s),
             dead_v: dead_v * (current_a / edge_a).clamp(-1.0, 1.0),
@@ -321,20 +329,18 @@ fn rows<B: Bench>(
     for (volts, windows) in &spun.steady {
         for pair in windows.windows(2) {
             if let [before, sums] = pair {
-                rows.push(row(*volts, before, sums, 0.0));
+                rows.push(row(3.0_f64.sqrt() * volts, before, sums, 0.0));
             }
         }
     }
-    let per_half = usize::from(WINDOWS);
-    for (volts, windows) in &spun.shakes {
-        for (half, windows) in windows.chunks(per_half).enumerate() {
-            let volts = if half == 0 { -volts } else { *volts };
-            for three in windows.windows(3) {
-                if let [before, sums, after] = three {
-                    let window_s = sums::periods(std::slice::from_ref(sums)) * period_s;
-                    let slope = (current(after) - current(before)) / (2.0 * window_s);
-                    rows.push(row(volts, before, sums, slope));
-                }
+    for (volts, windows) in &spun.pushes {
+        // What was put for dead time.
+        let put_v = 3.0_f64.sqrt() * volts + volts.signum() * dead_v;
+        for three in windows.windows(3) {
+            if let [before, sums, after] = three {
+                let window_s = sums::periods(std::slice::from_ref(sums)) * period_s;
+                let slope_a_s = (current(after) - current(before)) / (2.0 * window_s);
+                rows.push(row(put_v, before, sums, slope_a_s));
             }
         }
     }

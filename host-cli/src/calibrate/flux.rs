@@ -8,7 +8,7 @@ use protocol::Excitation;
 use super::Bench;
 use super::refusal::Refusal;
 use super::shared::{Calibration, DEVIATIONS, Level, mean};
-use super::sums::{self, PER_TURN, turned};
+use super::sums::{self, PER_TURN, Vector, turned};
 use super::three_phase::Turn;
 
 /// How fast the shaft is turned at first, and at most, rad/s.
@@ -27,9 +27,14 @@ struct Spin {
     deviation_wb: f64,
     /// i_d, A.
     along_a: f64,
+    /// Against the voltage, A.
+    current: Vector,
 }
 
 /// ψ, Wb.
+///
+/// The first spin is slow and tells how fast the second may be. Each tells the next where its current lies:
+/// there dead time is made up for, as it else turns a small voltage by degrees.
 pub(super) fn measure<B: Bench>(
     calibration: &mut Calibration<'_, B>,
     level: &Level,
@@ -37,75 +42,80 @@ pub(super) fn measure<B: Bench>(
     turn: &Turn,
     d_inductance: &Estimate,
 ) -> Result<Estimate, B::Error> {
-    let fastest = SPIN_RAD_S * f64::from(turn.pole_pairs);
+    let pole_pairs = f64::from(turn.pole_pairs);
     let held_v = resistance_ohm * level.vector.norm();
-    let mut speed = FIRST_SPIN_RAD_S * f64::from(turn.pole_pairs);
-    let mut found: Option<Estimate> = None;
-    for _ in 0..2 {
-        let mut spins = [None, None];
-        for (spun, sign) in spins.iter_mut().zip([1.0, -1.0]) {
-            let inductance_h = d_inductance.value;
-            *spun = spin(calibration, level, resistance_ohm, turn, inductance_h, sign * speed)?;
+    let motor = Motor {
+        level: *level,
+        resistance_ohm,
+        d_inductance_h: d_inductance.value,
+    };
+    let slow = FIRST_SPIN_RAD_S * pole_pairs;
+    let expected = Vector::new(level.vector.norm(), 0.0);
+    let first = spin(calibration, &motor, turn, slow, expected)?;
+    let lag = -first.current.arg();
+    let emf_v = (EMF_PART * held_v / first.flux_wb.abs()).min(SPIN_RAD_S * pole_pairs);
+    // The lag grows with the speed, up to the angle whose sine is the back-EMF's part.
+    let there = Vector::from_polar(first.current.norm(), -(lag * emf_v / slow).min(0.45));
+    let second = spin(calibration, &motor, turn, emf_v, there)?;
+    let forth = spin(calibration, &motor, turn, emf_v, second.current)?;
+    let back = spin(calibration, &motor, turn, -emf_v, second.current.conj())?;
+    let value = 0.5 * (forth.flux_wb + back.flux_wb);
+    let deviation = 0.5 * forth.deviation_wb.hypot(back.deviation_wb);
+    // The two ways differ by what an angle that is a little off brings, of which the second order remains.
+    let differ = 0.5 * (forth.flux_wb - back.flux_wb).abs();
+    let along_a = forth.along_a.abs().max(back.along_a.abs());
+    let half = DEVIATIONS * deviation
+        + 0.1 * differ
+        + 0.5 * (d_inductance.high - d_inductance.low) * along_a
+        + SYSTEMATIC * value.abs();
+    let found = Estimate {
+        value,
+        low: value - half,
+        high: value + half,
+    };
+    if !(found.low > 0.0 && found.half_width() < 0.3) {
+        return Err(Refusal::Vague {
+            name: "the magnets' flux (Wb)",
+            low: found.low,
+            high: found.high,
+            advice: "the knob could not be turned fast enough to see it: friction, or a current limit too low",
         }
-        let [Some(forth), Some(back)] = spins else {
-            break;
-        };
-        let value = 0.5 * (forth.flux_wb + back.flux_wb);
-        let deviation = 0.5 * forth.deviation_wb.hypot(back.deviation_wb);
-        // The two ways differ by what an angle that is a little off brings, of which the second order remains.
-        let differ = 0.5 * (forth.flux_wb - back.flux_wb).abs();
-        let along_a = forth.along_a.abs().max(back.along_a.abs());
-        let half = DEVIATIONS * deviation
-            + 0.1 * differ
-            + 0.5 * (d_inductance.high - d_inductance.low) * along_a
-            + SYSTEMATIC * value.abs();
-        found = Some(Estimate {
-            value,
-            low: value - half,
-            high: value + half,
-        });
-        let best = (EMF_PART * held_v / value.abs().max(1e-6)).min(fastest);
-        if speed > 0.7 * best {
-            break;
-        }
-        speed = best;
+        .into());
     }
-    match found {
-        Some(found) if found.low > 0.0 && found.half_width() < 0.3 => Ok(found),
-        found => {
-            let (low, high) = found.map_or((0.0, f64::INFINITY), |found| (found.low, found.high));
-            Err(Refusal::Vague {
-                name: "the magnets' flux (Wb)",
-                low,
-                high,
-                advice: "the knob could not be turned fast enough to see it: friction, a hand, or a current limit too low",
-            }
-            .into())
-        }
-    }
+    Ok(found)
 }
 
-/// In a field that turns at `speed` (rad/s, electrical); None if the rotor did not follow.
+/// What is known of the motor.
+struct Motor {
+    level: Level,
+    resistance_ohm: f64,
+    d_inductance_h: f64,
+}
+
+/// In a field that turns at `speed` (rad/s, electrical), dead time made up for at the current `expected`.
 ///
 /// v_q = R i_q + ω (L_d i_d + ψ) in the rotor's frame, its angle by the encoder.
 fn spin<B: Bench>(
     calibration: &mut Calibration<'_, B>,
-    level: &Level,
-    resistance_ohm: f64,
+    motor: &Motor,
     turn: &Turn,
-    d_inductance_h: f64,
     speed: f64,
-) -> Result<Option<Spin>, B::Error> {
+    expected: Vector,
+) -> Result<Spin, B::Error> {
+    let Motor {
+        level,
+        resistance_ohm,
+        d_inductance_h,
+    } = motor;
     let period_s = f64::from(calibration.stage.pwm_period_s);
     let window = (TAU / speed.abs() / period_s / 4.0).round().clamp(25.0, 16_000.0) * 4.0;
     let turn_by = speed.signum() / window;
     let speed = TAU * turn_by / period_s;
     let turns = (0.25 * speed.abs() / TAU).clamp(4.0, 100.0) as u16;
-    let expected_a = level.vector.norm();
     let excitation = Excitation {
         turn: (turn_by * PER_TURN) as i32,
         steady_v: level.volts as f32,
-        steady_a: expected_a as f32,
+        steady_a: [expected.re as f32, expected.im as f32],
         rise: calibration.ticks(30e-3),
         settle: calibration.ticks(0.3),
         window: window as u16,
@@ -113,37 +123,50 @@ fn spin<B: Bench>(
         ..calibration.nothing()
     };
     let windows = calibration.excite(&excitation)?;
-    let (Some(first), Some(last)) = (windows.first(), windows.last()) else {
-        return Ok(None);
+    let way = match (windows.first(), windows.last()) {
+        (Some(first), Some(last)) => f64::from(last.count.wrapping_sub(first.count)),
+        _ => 0.0,
     };
-    let way = f64::from(last.count.wrapping_sub(first.count));
     let moved = (way * f64::from(turn.pole_pairs) / turn.counts_per_rev).abs();
-    if !((moved - f64::from(turns - 1)).abs() <= 0.3) {
-        return Ok(None);
+    let off = (moved - f64::from(turns - 1)).abs();
+    if !(off <= 0.3) {
+        return Err(Refusal::Follows {
+            turns: off,
+            current_a: expected.norm(),
+        }
+        .into());
     }
-    let put_v = level.volts + turning_v(calibration, expected_a);
-    let part = dead_part(calibration, level, resistance_ohm);
-    let (mut fluxes, mut along_a) = (Vec::new(), 0.0);
+    let put = Vector::new(level.volts, 0.0) + along(expected, turning_v(calibration, expected.norm()));
+    let part = dead_part(calibration, level, *resistance_ohm);
+    let mut fluxes = Vec::new();
+    let (mut along_a, mut mean_current) = (0.0, Vector::new(0.0, 0.0));
+    let number = windows.len() as f64;
     for sums in windows.chunks(1) {
         // The field in the middle of the window, at the moments of the currents; the voltage's mean lies half a
         // period behind.
         let field = f64::from(sums[0].angle) / PER_TURN - 0.5 * turn_by * (window - 1.0);
         let to_rotor = turned(field - turn.rotor_turns(sums::count(sums)));
-        let current = calibration.scale.turning(sums) * to_rotor;
-        let put = turned(-0.5 * turn_by) * to_rotor * put_v;
-        // What is put for dead time lies along the voltage, what it takes along the current.
-        let current_a = current.norm().max(1e-9);
-        let taken = current / current_a * (part * turning_v(calibration, current_a));
-        let across_v = (put - taken - current * resistance_ohm).im;
+        let seen = calibration.scale.turning(sums);
+        let taken = along(seen, part * turning_v(calibration, seen.norm()));
+        let current = seen * to_rotor;
+        let volts = put * turned(-0.5 * turn_by) - taken;
+        let across_v = (volts * to_rotor - current * *resistance_ohm).im;
         fluxes.push(across_v / speed - d_inductance_h * current.re);
-        along_a += current.re / windows.len() as f64;
+        along_a += current.re / number;
+        mean_current += seen / number;
     }
     let (flux_wb, deviation_wb) = mean(&fluxes);
-    Ok(Some(Spin {
+    Ok(Spin {
         flux_wb,
         deviation_wb,
         along_a,
-    }))
+        current: mean_current,
+    })
+}
+
+/// So many volts in the direction of a current.
+fn along(current: Vector, volts: f64) -> Vector {
+    current / current.norm().max(1e-9) * volts
 }
 
 /// What dead time really takes, as a part of what it is believed to: from what a steady level has beyond R i.

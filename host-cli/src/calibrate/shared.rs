@@ -116,7 +116,7 @@ impl<'a, B: Bench> Calibration<'a, B> {
             turn: 0,
             back: false,
             steady_v: 0.0,
-            steady_a: 0.0,
+            steady_a: [0.0; 2],
             along_v: 0.0,
             across_v: 0.0,
             quarter: 0,
@@ -276,7 +276,7 @@ impl<'a, B: Bench> Calibration<'a, B> {
         let excitation = Excitation {
             angle: angle(turns),
             steady_v: volts as f32,
-            steady_a: expected_a as f32,
+            steady_a: [expected_a as f32, 0.0],
             rise: self.ticks(times.rise_s),
             settle: self.ticks(times.settle_s),
             window: self.ticks(times.window_s),

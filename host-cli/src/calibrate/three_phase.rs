@@ -241,7 +241,7 @@ fn turn<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
         turn: step as i32,
         back: true,
         steady_v: level.volts as f32,
-        steady_a: level.vector.norm() as f32,
+        steady_a: [level.vector.norm() as f32, 0.0],
         rise: calibration.ticks(50e-3),
         settle: calibration.ticks(200e-3),
         window,
@@ -385,7 +385,7 @@ fn inductance<B: Bench>(
 ) -> Result<[Estimate; 2], B::Error> {
     let held_v = HELD * level.volts;
     let held = Excitation {
-        steady_a: (HELD * level.vector.norm()) as f32,
+        steady_a: [(HELD * level.vector.norm()) as f32, 0.0],
         ..calibration.rippling(held_v)
     };
     // Even without inductance this one is no larger than the current that holds.
