@@ -5,13 +5,13 @@ use control::criterion::Device;
 use control::torque::{BrushedMotor, ThreePhaseMotor};
 use firmware::commission::{self, Run};
 use firmware::power::{self, Bridge, ODRIVE_V3_24V};
-use host_cli::calibrate::{self, Bench, Found, Recorded, Refusal, Step, Told};
-use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding};
+use host_cli::calibrate::{self, Bench, Found, Phase, Recorded, Refusal, Step, Told};
+use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding, Wiring};
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
 use plant_sim::identify::Estimate;
 use plant_sim::motor::Motor;
-use plant_sim::powered::{EncoderSetup, Powered, Setup};
+use plant_sim::powered::{EncoderFault, EncoderSetup, Powered, Setup};
 use protocol::{Excitation, PowerStage};
 use rayon::prelude::*;
 
@@ -22,6 +22,10 @@ struct Board {
     /// The largest current that any phase bore, A.
     most_a: f64,
     fastest_rad_s: f64,
+    counts_per_pole_pair: Option<f64>,
+    /// The count leaps at this part of the field's turn, by so many.
+    leap: Option<(f64, i32)>,
+    step: Step,
 }
 
 impl Board {
@@ -31,6 +35,14 @@ impl Board {
             periods: 0,
             most_a: 0.0,
             fastest_rad_s: 0.0,
+            counts_per_pole_pair: match setup.winding {
+                Winding::ThreePhase(motor) => {
+                    Some(f64::from(setup.encoder.counts_per_rev) / f64::from(motor.pole_pairs))
+                }
+                Winding::Brushed(_) => None,
+            },
+            leap: None,
+            step: Step::Offsets,
         }
     }
 
@@ -58,7 +70,14 @@ impl Bench for Board {
         let mut run = Run::new(excitation, &ODRIVE_V3_24V)
             .unwrap_or_else(|error| panic!("{error:?}: {excitation:?}"));
         let mut windows = Vec::new();
+        let mut leap = self.leap.filter(|_| self.step == Step::Turn);
         loop {
+            if let Some((at, counts)) = leap
+                && windows.len() as f64 > at * f64::from(excitation.windows)
+            {
+                self.knob.slip(counts);
+                leap = None;
+            }
             let sensed = self.knob.sensed();
             let step = run.tick(
                 &power::Sensed {
@@ -80,7 +99,9 @@ impl Bench for Board {
         }
     }
 
-    fn begin(&mut self, _: Step) {}
+    fn begin(&mut self, step: Step) {
+        self.step = step;
+    }
 }
 
 /// Numbers that are the same each time: splitmix64.
@@ -118,7 +139,7 @@ struct Case {
 
 /// What every board and every encoder has.
 fn around(dice: &mut Dice, winding: Winding, device: Device<f64>, motor: Motor) -> Setup {
-    let dead_time_s = ODRIVE_V3_24V.dead_time_s * dice.between(0.8, 1.2) * std::env::var("DT").map_or(1.0, |d| d.parse().unwrap());
+    let dead_time_s = ODRIVE_V3_24V.dead_time_s * dice.between(0.8, 1.2);
     Setup {
         device,
         motor,
@@ -184,7 +205,8 @@ fn three_phase(seed: u64) -> Case {
         cogging_per_rev: f64::from(pole_pairs * [6, 12][dice.whole(0, 1) as usize]),
         ..Motor::default()
     };
-    let kv_rpm_v = 60.0 / (std::f64::consts::TAU * 3.0_f64.sqrt() * f64::from(pole_pairs) * flux_wb);
+    let kv_rpm_v =
+        60.0 / (std::f64::consts::TAU * 3.0_f64.sqrt() * f64::from(pole_pairs) * flux_wb);
     let mut setup = around(&mut dice, winding, device, motor);
     // Where cogging lets it rest.
     let cog_rad = std::f64::consts::TAU / motor.cogging_per_rev;
@@ -236,45 +258,465 @@ fn brushed(seed: u64) -> Case {
     Case { setup, told }
 }
 
-fn holds(of: &Estimate, truth: f64) -> bool {
-    of.holds(truth)
+fn measured(case: &Case, sabotage: impl FnOnce(&mut Board)) -> (Result<Found, Refusal>, Board) {
+    let mut board = Board::new(&case.setup);
+    sabotage(&mut board);
+    let result = calibrate::calibrate(&mut board, &case.told);
+    assert!(
+        board.most_a <= case.told.current_max_a * 1.02 + 0.1,
+        "{} A of {}",
+        board.most_a,
+        case.told.current_max_a
+    );
+    // Nothing is left on.
+    assert!(
+        board
+            .knob
+            .phase_currents()
+            .iter()
+            .all(|current| current.abs() < 1e-3)
+    );
+    (result, board)
 }
 
-fn report(seed: u64, case: &Case, result: &Result<Found, Refusal>, board: &Board) -> String {
-    let (r, d, q, k, p) = match case.setup.winding {
-        Winding::ThreePhase(m) => (m.resistance_ohm, m.d_inductance_h, m.q_inductance_h, m.torque_constant_nm_a(), m.pole_pairs),
-        Winding::Brushed(m) => (m.resistance_ohm, m.inductance_h, m.inductance_h, m.torque_constant_nm_a, 1),
-    };
-    match result {
-        Err(refusal) => format!("{seed} REFUSED {refusal} | {:?} max {} {:?} {:?}", case.setup.winding, case.told.current_max_a, case.setup.device, case.setup.motor),
-        Ok(found) => {
-            let one = |e: &Estimate, t: f64| format!("{}{:+.2}%±{:.1}", if holds(e, t) { ' ' } else { 'X' }, 100.0 * (e.value / t - 1.0), 100.0 * e.half_width());
-            let zero = if found.zero_turns.high == 0.0 { String::new() } else {
-                let off = (found.zero_turns.value - case.setup.encoder.zero_turns + 0.5).rem_euclid(1.0) - 0.5;
-                let half = 0.5 * (found.zero_turns.high - found.zero_turns.low);
-                format!("{}{:+.4}±{:.4}", if off.abs() <= half { ' ' } else { 'X' }, off, half)
-            };
-            let Found { pole_pairs, reversed, .. } = found;
-            format!("{seed} R{:.2} I{:.1} p{} {} | R {} Ld {} Lq {} zero {zero} k {} meas {} | {:.1}s most {:.2} of {:.2} v {:.0}",
-                r, case.told.current_max_a, pole_pairs, if *reversed == case.setup.encoder.reversed && *pole_pairs == p { "ok" } else { "WRONG" },
-                one(&found.resistance_ohm, r), one(&found.d_inductance_h, d), one(&found.q_inductance_h, q),
-                one(&found.torque_constant_nm_a, k), one(&found.measured_constant_nm_a, k), board.periods as f64 / 24e3, board.most_a, case.told.current_max_a, board.fastest_rad_s)
-        }
+/// How often an interval held the truth.
+#[derive(Default, Debug)]
+struct Tally {
+    held: u32,
+    of: u32,
+    widest: f64,
+}
+
+impl Tally {
+    fn add(&mut self, estimate: &Estimate, truth: f64) {
+        self.of += 1;
+        self.held += u32::from(estimate.holds(truth));
+        self.widest = self.widest.max(estimate.half_width());
+    }
+
+    fn check(&self, name: &str) {
+        println!("{name}: {self:?}");
+        assert!(
+            f64::from(self.held) >= 0.95 * f64::from(self.of),
+            "{name}: {self:?}"
+        );
+    }
+}
+
+/// An angle is as right a turn further.
+fn near(zero: &Estimate, truth: f64) -> f64 {
+    zero.value + (truth - zero.value + 0.5).rem_euclid(1.0) - 0.5
+}
+
+#[test]
+fn two_hundred_random_motors_lie_inside_their_intervals() {
+    let three: Vec<(Case, Found)> = (0..140_u64)
+        .into_par_iter()
+        .map(|seed| {
+            let case = three_phase(seed);
+            let (result, _) = measured(&case, |_| {});
+            (
+                case,
+                result.unwrap_or_else(|refusal| panic!("motor {seed}: {refusal}")),
+            )
+        })
+        .collect();
+    let mut tallies: [Tally; 6] = Default::default();
+    for (case, found) in &three {
+        let Winding::ThreePhase(motor) = case.setup.winding else {
+            panic!("not three phases");
+        };
+        assert_eq!(found.pole_pairs, motor.pole_pairs);
+        assert_eq!(found.reversed, case.setup.encoder.reversed);
+        let [r, d, q, k, zero, measured] = &mut tallies;
+        r.add(&found.resistance_ohm, motor.resistance_ohm);
+        d.add(&found.d_inductance_h, motor.d_inductance_h);
+        q.add(&found.q_inductance_h, motor.q_inductance_h);
+        k.add(&found.torque_constant_nm_a, motor.torque_constant_nm_a());
+        measured.add(&found.measured_constant_nm_a, motor.torque_constant_nm_a());
+        let Estimate { low, high, .. } = found.zero_turns;
+        zero.add(
+            &found.zero_turns,
+            near(&found.zero_turns, case.setup.encoder.zero_turns),
+        );
+        assert!(high - low < 0.05, "an angle within {low} to {high} turns");
+    }
+    for (tally, name) in tallies
+        .iter()
+        .zip(["R", "L_d", "L_q", "k", "zero", "k by back-EMF"])
+    {
+        tally.check(name);
+    }
+    let brushed: Vec<(Case, Found)> = (0..60_u64)
+        .into_par_iter()
+        .map(|seed| {
+            let case = brushed(seed);
+            let (result, _) = measured(&case, |_| {});
+            (
+                case,
+                result.unwrap_or_else(|refusal| panic!("brushed motor {seed}: {refusal}")),
+            )
+        })
+        .collect();
+    let mut tallies: [Tally; 4] = Default::default();
+    for (case, found) in &brushed {
+        let Winding::Brushed(motor) = case.setup.winding else {
+            panic!("not brushed");
+        };
+        assert_eq!(found.reversed, case.setup.encoder.reversed);
+        let [r, l, k, measured] = &mut tallies;
+        r.add(&found.resistance_ohm, motor.resistance_ohm);
+        l.add(&found.d_inductance_h, motor.inductance_h);
+        k.add(&found.torque_constant_nm_a, motor.torque_constant_nm_a);
+        measured.add(&found.measured_constant_nm_a, motor.torque_constant_nm_a);
+    }
+    for (tally, name) in tallies.iter().zip(["brushed R", "L", "k", "k by back-EMF"]) {
+        tally.check(name);
+    }
+}
+
+/// Each of so many random motors is refused as expected.
+fn refused(
+    what: &str,
+    of: fn(u64) -> Case,
+    change: impl Fn(&mut Case, &mut Dice) + Sync,
+    sabotage: impl Fn(&mut Board, &mut Dice) + Sync,
+    expected: impl Fn(&Refusal) -> bool + Sync,
+) {
+    let wrong: Vec<String> = (0..SABOTAGED)
+        .into_par_iter()
+        .filter_map(|seed| {
+            let mut dice = Dice(seed ^ 0x5AB0_7A6E);
+            let mut case = of(1000 + seed);
+            change(&mut case, &mut dice);
+            let (result, _) = measured(&case, |board| sabotage(board, &mut dice));
+            match result {
+                Err(refusal) if expected(&refusal) => None,
+                Err(refusal) => Some(format!("motor {seed}: {refusal}")),
+                Ok(found) => Some(format!(
+                    "motor {seed}: {found:?} of {:?}",
+                    case.setup.winding
+                )),
+            }
+        })
+        .collect();
+    assert!(
+        wrong.is_empty(),
+        "{what}: {} of {SABOTAGED}:\n{}",
+        wrong.len(),
+        wrong.join("\n")
+    );
+}
+
+/// Motors for each sabotage.
+const SABOTAGED: u64 = 20;
+
+fn as_it_is(_: &mut Case, _: &mut Dice) {}
+
+fn wired(terminals: [usize; 3], open: Option<usize>) -> impl Fn(&mut Board, &mut Dice) + Sync {
+    move |board, _| board.knob.wire(Wiring { terminals, open }).unwrap()
+}
+
+const STRAIGHT: [usize; 3] = [0, 1, 2];
+
+#[test]
+fn an_unplugged_phase_is_named() {
+    for (open, named) in [(0, Phase::A), (1, Phase::B), (2, Phase::C)] {
+        refused(
+            "unplugged",
+            three_phase,
+            as_it_is,
+            wired(STRAIGHT, Some(open)),
+            |refusal| matches!(refusal, Refusal::Unplugged { phase, .. } if *phase == named),
+        );
+    }
+    for open in [1, 2] {
+        refused(
+            "brushed, unplugged",
+            brushed,
+            as_it_is,
+            wired(STRAIGHT, Some(open)),
+            |refusal| matches!(refusal, Refusal::NoCurrent { .. }),
+        );
     }
 }
 
 #[test]
-fn scratch() {
-    let env = |name: &str, or: u64| std::env::var(name).map_or(or, |n| n.parse().unwrap());
-    let (number, from, brushed_too) = (env("N", 20), env("FROM", 0), env("B", 0));
-    let rows: Vec<String> = (from..from + number)
+fn a_brushed_motor_at_the_wrong_phases_is_noticed() {
+    let at = |named: Phase| move |refusal: &Refusal| matches!(refusal, Refusal::BrushedAt { other } if *other == named);
+    refused(
+        "A–B",
+        brushed,
+        as_it_is,
+        wired([1, 2, 0], None),
+        at(Phase::B),
+    );
+    refused(
+        "A–C",
+        brushed,
+        as_it_is,
+        wired([1, 0, 2], None),
+        at(Phase::C),
+    );
+    refused(
+        "brushed, told to have three phases",
+        brushed,
+        |case, _| case.told.winding = calibrate::Winding::ThreePhase,
+        |_, _| {},
+        |refusal| {
+            matches!(
+                refusal,
+                Refusal::Unplugged {
+                    phase: Phase::A,
+                    ..
+                }
+            )
+        },
+    );
+    refused(
+        "three phases, told to be brushed",
+        three_phase,
+        |case, _| case.told.winding = calibrate::Winding::Brushed,
+        |_, _| {},
+        |refusal| matches!(refusal, Refusal::Sum { .. }),
+    );
+}
+
+#[test]
+fn a_stuck_converter_is_named() {
+    for (which, named) in [(0, Phase::B), (1, Phase::C)] {
+        for of in [three_phase as fn(u64) -> Case, brushed] {
+            refused(
+                "stuck",
+                of,
+                as_it_is,
+                |board, dice| {
+                    let mut codes = [None; 2];
+                    codes[which] = Some(dice.between(1900.0, 2200.0) as u16);
+                    board.knob.stick(codes);
+                },
+                |refusal| matches!(refusal, Refusal::Stuck { phase, .. } if *phase == named),
+            );
+        }
+        refused(
+            "off by more than a good board",
+            three_phase,
+            as_it_is,
+            |board, dice| {
+                let mut codes = [None; 2];
+                codes[which] = Some(dice.between(2500.0, 3500.0) as u16);
+                board.knob.stick(codes);
+            },
+            |refusal| matches!(refusal, Refusal::Offset { phase, .. } if *phase == named),
+        );
+        refused(
+            "at its end",
+            three_phase,
+            as_it_is,
+            |board, _| {
+                let mut codes = [None; 2];
+                codes[which] = Some(4095);
+                board.knob.stick(codes);
+            },
+            |refusal| matches!(refusal, Refusal::CurrentWithoutVoltage { .. }),
+        );
+    }
+}
+
+#[test]
+fn a_short_is_noticed() {
+    refused(
+        "short",
+        three_phase,
+        |case, _| {
+            if let Winding::ThreePhase(motor) = &mut case.setup.winding {
+                motor.resistance_ohm = 2e-3;
+                motor.d_inductance_h = 2e-6;
+                motor.q_inductance_h = 2e-6;
+            }
+        },
+        |_, _| {},
+        |refusal| matches!(refusal, Refusal::Short { .. }),
+    );
+}
+
+#[test]
+fn a_shaft_that_does_not_turn_or_an_encoder_that_does_not_count_is_noticed() {
+    for of in [three_phase as fn(u64) -> Case, brushed] {
+        refused(
+            "unplugged encoder",
+            of,
+            as_it_is,
+            |board, _| board.knob.fault_encoder(Some(EncoderFault::Stuck)),
+            |refusal| matches!(refusal, Refusal::NoMotion),
+        );
+        refused(
+            "blocked shaft",
+            of,
+            |case, _| case.setup.device.coulomb_nm = 10.0,
+            |_, _| {},
+            |refusal| matches!(refusal, Refusal::NoMotion),
+        );
+        refused(
+            "dead channel",
+            of,
+            as_it_is,
+            |board, _| board.knob.fault_encoder(Some(EncoderFault::DeadChannel)),
+            |refusal| matches!(refusal, Refusal::Toggles { .. }),
+        );
+    }
+}
+
+#[test]
+fn a_slipping_encoder_and_a_wrong_count_of_poles_are_noticed() {
+    let known = |case: &mut Case| {
+        if let Winding::ThreePhase(motor) = case.setup.winding {
+            case.told.pole_pairs = Some(motor.pole_pairs);
+        }
+    };
+    refused(
+        "slipping",
+        three_phase,
+        |case, _| known(case),
+        |board, dice| {
+            let follows = dice.between(0.6, 0.93);
+            board
+                .knob
+                .fault_encoder(Some(EncoderFault::Slipping { follows }));
+        },
+        |refusal| {
+            matches!(
+                refusal,
+                Refusal::NotWhole { .. } | Refusal::Slips { .. } | Refusal::PolePairs { .. }
+            )
+        },
+    );
+    refused(
+        "wrong pole pairs",
+        three_phase,
+        |case, dice| {
+            known(case);
+            let off = dice.whole(1, 3);
+            case.told.pole_pairs = case.told.pole_pairs.map(|pairs| pairs + off);
+        },
+        |_, _| {},
+        |refusal| matches!(refusal, Refusal::PolePairs { .. }),
+    );
+    refused(
+        "poles for pole pairs",
+        three_phase,
+        |case, _| {
+            known(case);
+            case.told.pole_pairs = case.told.pole_pairs.map(|pairs| 2 * pairs);
+        },
+        |_, _| {},
+        |refusal| matches!(refusal, Refusal::PolePairs { .. }),
+    );
+    for of in [three_phase as fn(u64) -> Case, brushed] {
+        refused(
+            "wrong Kv",
+            of,
+            |case, dice| {
+                let constant = match case.setup.winding {
+                    Winding::ThreePhase(motor) => {
+                        motor.torque_constant_nm_a() * 2.0 / 3.0_f64.sqrt()
+                    }
+                    Winding::Brushed(motor) => motor.torque_constant_nm_a,
+                };
+                let wrong = if dice.next() < 0.5 { 0.6 } else { 1.7 };
+                case.told.kv_rpm_v = Some(wrong * 60.0 / (std::f64::consts::TAU * constant));
+            },
+            |_, _| {},
+            |refusal| matches!(refusal, Refusal::Kv { .. }),
+        );
+    }
+}
+
+/// A count that leaps once, anywhere in the turn of the field.
+#[test]
+fn an_encoder_that_leaps_is_noticed() {
+    refused(
+        "leaps",
+        three_phase,
+        as_it_is,
+        |board, dice| {
+            let Some(counts) = board.counts_per_pole_pair else {
+                panic!("not three phases")
+            };
+            board.leap = Some((
+                dice.between(0.2, 0.8),
+                (counts * dice.between(0.15, 0.4)) as i32,
+            ));
+        },
+        |refusal| {
+            matches!(
+                refusal,
+                Refusal::Slips { .. } | Refusal::NotWhole { .. } | Refusal::Follows { .. }
+            )
+        },
+    );
+}
+
+/// Two wires of the motor swapped turn it the other way: found and told, not refused.
+#[test]
+fn swapped_wires_are_taken_as_they_are() {
+    let wrong: Vec<String> = (0..SABOTAGED)
         .into_par_iter()
-        .map(|seed| {
-            let case = if brushed_too == 1 { brushed(seed) } else { three_phase(seed) };
-            let mut board = Board::new(&case.setup);
-            let result = calibrate::calibrate(&mut board, &case.told);
-            report(seed, &case, &result, &board)
+        .filter_map(|seed| {
+            let case = three_phase(2000 + seed);
+            let swap = Wiring {
+                terminals: [0, 2, 1],
+                open: None,
+            };
+            let (result, _) = measured(&case, |board| board.knob.wire(swap).unwrap());
+            let encoder = case.setup.encoder;
+            match result {
+                Err(refusal) => Some(format!("motor {seed}: {refusal}")),
+                Ok(found) => {
+                    let zero = near(&found.zero_turns, -encoder.zero_turns);
+                    let right = found.reversed != encoder.reversed && found.zero_turns.holds(zero);
+                    (!right).then(|| format!("motor {seed}: {found:?}, not {zero}"))
+                }
+            }
         })
         .collect();
-    for row in rows { println!("{row}"); }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// A limit that noise does not leave room for; hands on the knob.
+#[test]
+fn noise_and_hands_are_noticed() {
+    refused(
+        "noise",
+        three_phase,
+        |case, _| case.setup.sensing.noise_a = 0.15 * case.told.current_max_a,
+        |_, _| {},
+        |refusal| matches!(refusal, Refusal::Noise { .. }),
+    );
+    refused(
+        "turned",
+        brushed,
+        |case, _| {
+            case.setup.start.velocity = 3.0;
+            case.setup.device.coulomb_nm = 0.0;
+            case.setup.motor = Motor::default();
+        },
+        |_, _| {},
+        |refusal| {
+            matches!(
+                refusal,
+                Refusal::Moving { .. } | Refusal::CurrentWithoutVoltage { .. }
+            )
+        },
+    );
+    refused(
+        "a weak supply",
+        three_phase,
+        |case, _| {
+            case.setup.supply.source_v = 8.1;
+            case.setup.supply.source_ohm = 30.0;
+        },
+        |_, _| {},
+        |refusal| matches!(refusal, Refusal::Bus { .. }),
+    );
 }

@@ -10,9 +10,7 @@ use plant_sim::identify::Estimate;
 use protocol::{Excitation, Sums};
 
 use super::refusal::{Phase, Refusal};
-use super::shared::{
-    Calibration, Level, SYSTEMATIC, Times, angle, estimate, inductance_h, mean,
-};
+use super::shared::{Calibration, Level, SYSTEMATIC, Times, angle, estimate, inductance_h, mean};
 use super::sums::{self, ripple_of_one};
 use super::{Bench, Found, Step};
 
@@ -52,8 +50,11 @@ const DEAD_TIME: f64 = 0.25;
 /// The same around the current from which all of it is lost.
 const UNSURE: f64 = 0.3;
 
+/// The part of the current limit that a ripple's amplitude is to have: the larger, the less dead time matters.
+const RIPPLE: f64 = 0.4;
+
 /// By how much a ripple across no current may be wrong, as dead time goes with the current's sign.
-const ACROSS_ZERO: f64 = 0.06;
+const ACROSS_ZERO: f64 = 0.05;
 
 pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Found, B::Error> {
     calibration.begin(Step::Resistance);
@@ -177,7 +178,7 @@ fn ripple<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Ripple, B::E
         angle: angle(B_TO_C),
         ..calibration.rippling(0.0)
     };
-    let (volts, quarter) = calibration.find_ripple(&held, 0.05, calibration.reach_v())?;
+    let (volts, quarter) = calibration.find_ripple(&held, RIPPLE, 0.05, calibration.reach_v())?;
     let windows = calibration.excite(&Excitation {
         along_v: volts as f32,
         quarter,
@@ -315,7 +316,11 @@ fn rows<B: Bench>(
         let current_a = current(sums);
         let ratio = current_a.abs() / edge_a;
         // Around the edge it is not known what dead time takes.
-        let unsure = if ratio < 2.0 { UNSURE * ratio.min(1.0) } else { 0.02 };
+        let unsure = if ratio < 2.0 {
+            UNSURE * ratio.min(1.0)
+        } else {
+            0.02
+        };
         let noise_v = near_ohm * calibration.deviation_a(2.0 * periods);
         Row {
             weight: 1.0 / noise_v.hypot(unsure * dead_v),

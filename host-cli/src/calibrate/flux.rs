@@ -108,7 +108,10 @@ fn spin<B: Bench>(
         d_inductance_h,
     } = motor;
     let period_s = f64::from(calibration.stage.pwm_period_s);
-    let window = (TAU / speed.abs() / period_s / 4.0).round().clamp(25.0, 16_000.0) * 4.0;
+    let window = (TAU / speed.abs() / period_s / 4.0)
+        .round()
+        .clamp(25.0, 16_000.0)
+        * 4.0;
     let turn_by = speed.signum() / window;
     let speed = TAU * turn_by / period_s;
     let turns = (0.25 * speed.abs() / TAU).clamp(4.0, 100.0) as u16;
@@ -136,7 +139,8 @@ fn spin<B: Bench>(
         }
         .into());
     }
-    let put = Vector::new(level.volts, 0.0) + along(expected, turning_v(calibration, expected.norm()));
+    let put =
+        Vector::new(level.volts, 0.0) + along(expected, turning_v(calibration, expected.norm()));
     let part = dead_part(calibration, level, *resistance_ohm);
     let mut fluxes = Vec::new();
     let (mut along_a, mut mean_current) = (0.0, Vector::new(0.0, 0.0));

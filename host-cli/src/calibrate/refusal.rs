@@ -59,7 +59,9 @@ pub enum Refusal {
         least_a: f64,
     },
     /// Somebody turns the knob.
-    #[error("the knob moved by {counts:.0} counts without voltage; keep hands off, and let it come to rest")]
+    #[error(
+        "the knob moved by {counts:.0} counts without voltage; keep hands off, and let it come to rest"
+    )]
     Moving {
         /// How far.
         counts: f64,
@@ -73,7 +75,9 @@ pub enum Refusal {
         volts: f64,
     },
     /// A phase without current.
-    #[error("no current flows in phase {phase:?} at {volts:.1} V, but in the others: it is unplugged or broken")]
+    #[error(
+        "no current flows in phase {phase:?} at {volts:.1} V, but in the others: it is unplugged or broken"
+    )]
     Unplugged {
         /// Which.
         phase: Phase,
@@ -116,9 +120,7 @@ pub enum Refusal {
         accepted: f64,
     },
     /// A value that could not be found with any use.
-    #[error(
-        "{name} lies between {low:.3e} and {high:.3e}, which is too vague; {advice}"
-    )]
+    #[error("{name} lies between {low:.3e} and {high:.3e}, which is too vague; {advice}")]
     Vague {
         /// Which, with its unit.
         name: &'static str,
@@ -199,7 +201,9 @@ pub enum Refusal {
         told: f64,
     },
     /// A brushed motor at the wrong phases.
-    #[error("the motor is wired between phases A and {other:?}; accepted: between B and C, whose currents are measured")]
+    #[error(
+        "the motor is wired between phases A and {other:?}; accepted: between B and C, whose currents are measured"
+    )]
     BrushedAt {
         /// The other phase.
         other: Phase,
@@ -215,10 +219,14 @@ pub enum Refusal {
         c_a: f64,
     },
     /// A single-phase path where three were told.
-    #[error("current flows from B to C only: a brushed motor between them, or phase A is unplugged")]
+    #[error(
+        "current flows from B to C only: a brushed motor between them, or phase A is unplugged"
+    )]
     OnlyBToC,
     /// The bus.
-    #[error("the bus voltage left {least_v:.1} to {most_v:.1} V during {step}: the supply is too weak, or braking raises it")]
+    #[error(
+        "the bus voltage left {least_v:.1} to {most_v:.1} V during {step}: the supply is too weak, or braking raises it"
+    )]
     Bus {
         /// The least accepted, V.
         least_v: f64,
@@ -228,7 +236,9 @@ pub enum Refusal {
         step: &'static str,
     },
     /// A current beyond the limit.
-    #[error("a current went beyond {current_max_a} A during {step}, and the bridge was turned off; accepted: a larger --current-max, if the motor bears it")]
+    #[error(
+        "a current went beyond {current_max_a} A during {step}, and the bridge was turned off; accepted: a larger --current-max, if the motor bears it"
+    )]
     Current {
         /// The limit, A.
         current_max_a: f64,
@@ -236,7 +246,9 @@ pub enum Refusal {
         step: &'static str,
     },
     /// Too fast.
-    #[error("the knob went faster than {rad_s:.0} rad/s during {step}, and the bridge was turned off; is it the told motor, with its knob on?")]
+    #[error(
+        "the knob went faster than {rad_s:.0} rad/s during {step}, and the bridge was turned off; is it the told motor, with its knob on?"
+    )]
     Speed {
         /// The limit, rad/s.
         rad_s: f64,
@@ -252,7 +264,9 @@ pub enum Refusal {
         why: &'static str,
     },
     /// Windows got lost on the line.
-    #[error("{missing} of {of} windows got lost on the line during {step}; try again, or look at the cable")]
+    #[error(
+        "{missing} of {of} windows got lost on the line during {step}; try again, or look at the cable"
+    )]
     Lost {
         /// How many.
         missing: usize,

@@ -31,9 +31,6 @@ const GROWTH: f64 = 1.6;
 /// The part of the longest voltage vector that is used: the bus may sag.
 const REACH: f64 = 0.9;
 
-/// The part of the current limit that a ripple's amplitude is to have.
-const RIPPLE: f64 = 0.15;
-
 /// A measurement under way.
 pub(super) struct Calibration<'a, B> {
     bench: &'a mut B,
@@ -132,9 +129,8 @@ impl<'a, B: Bench> Calibration<'a, B> {
 
     /// Runs it, ended or not.
     pub fn try_excite(&mut self, excitation: &Excitation) -> Result<Recorded, B::Error> {
-        let way_rad = FASTEST_RAD_S
-            * f64::from(excitation.window)
-            * f64::from(self.stage.pwm_period_s);
+        let way_rad =
+            FASTEST_RAD_S * f64::from(excitation.window) * f64::from(self.stage.pwm_period_s);
         let way_max = (way_rad / TAU * f64::from(self.told.counts_per_rev)).ceil() + 2.0;
         let limited = Excitation {
             way_max: way_max as u32,
@@ -328,16 +324,17 @@ impl<'a, B: Bench> Calibration<'a, B> {
         }
     }
 
-    /// The ripple along the steady voltage, up to `most_v`, that drives `RIPPLE` of the current limit, from
+    /// The ripple along the steady voltage, up to `most_v`, whose amplitude drives `part` of the current limit, from
     /// one on that surely does not; and the quarter of its period, longer than one period if that voltage
     /// drives too little.
     pub fn find_ripple(
         &mut self,
         held: &Excitation,
+        part: f64,
         first_v: f64,
         most_v: f64,
     ) -> Result<(f64, u16), B::Error> {
-        let aim_a = RIPPLE * self.told.current_max_a;
+        let aim_a = part * self.told.current_max_a;
         let mut volts = first_v.min(most_v);
         loop {
             let windows = self.excite(&Excitation {

@@ -8,7 +8,8 @@ use protocol::{Excitation, Sums};
 
 use super::refusal::{Phase, Refusal};
 use super::shared::{
-    Calibration, DEVIATIONS, Level, MOST_POLE_PAIRS, SYSTEMATIC, Times, estimate, inductance_h, mean,
+    Calibration, DEVIATIONS, Level, MOST_POLE_PAIRS, SYSTEMATIC, Times, estimate, inductance_h,
+    mean,
 };
 use super::sums::{self, PER_TURN, ripple_of_one, turned};
 use super::{Bench, Found, Step, flux};
@@ -41,6 +42,9 @@ const VAGUE: f64 = 0.1;
 
 /// The part of the used voltage that holds the rotor under a ripple.
 const HELD: f64 = 0.6;
+
+/// The part of the current limit that a ripple's amplitude is to have.
+const RIPPLE: f64 = 0.15;
 
 /// Windows in a turn of the slow field.
 const PER_FIELD_TURN: u16 = 16;
@@ -111,8 +115,7 @@ fn resistance<B: Bench>(
         let along = |level: &Level| (level.vector * turned(-turns)).re;
         let mut levels = [first; 2];
         for (level, part) in levels.iter_mut().zip([1.0, 0.5]) {
-            let measured =
-                calibration.level(turns, part * volts, part * expected_a, &MEASURING)?;
+            let measured = calibration.level(turns, part * volts, part * expected_a, &MEASURING)?;
             *level = measured.ok_or_else(|| calibration.short(part * volts))?;
         }
         let [full, half] = levels;
@@ -186,7 +189,11 @@ fn connected<B: Bench>(
         Phase::B => c,
         Phase::C => b,
     };
-    let code = if phase == Phase::B { codes[0] } else { codes[1] };
+    let code = if phase == Phase::B {
+        codes[0]
+    } else {
+        codes[1]
+    };
     Err(if flows_a.abs() > nothing {
         stuck(phase, code, flows_a)
     } else {
@@ -224,7 +231,10 @@ fn line(points: &[(f64, f64)]) -> (f64, f64) {
     let number = points.len() as f64;
     let x = points.iter().map(|point| point.0).sum::<f64>() / number;
     let y = points.iter().map(|point| point.1).sum::<f64>() / number;
-    let product: f64 = points.iter().map(|point| (point.0 - x) * (point.1 - y)).sum();
+    let product: f64 = points
+        .iter()
+        .map(|point| (point.0 - x) * (point.1 - y))
+        .sum();
     let square: f64 = points.iter().map(|point| (point.0 - x).powi(2)).sum();
     let slope = product / square;
     let off = |point: &(f64, f64)| (point.1 - y - slope * (point.0 - x)).abs();
@@ -250,9 +260,14 @@ fn turn<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
     };
     let windows = calibration.excite(&excitation)?;
     let told_counts = f64::from(calibration.told.counts_per_rev);
-    let counts: Vec<f64> = windows.iter().map(|sums| sums::count(std::slice::from_ref(sums))).collect();
+    let counts: Vec<f64> = windows
+        .iter()
+        .map(|sums| sums::count(std::slice::from_ref(sums)))
+        .collect();
     let ends = windows.iter().map(|sums| i64::from(sums.count));
-    let (least, most) = ends.fold((i64::MAX, i64::MIN), |(l, m), count| (l.min(count), m.max(count)));
+    let (least, most) = ends.fold((i64::MAX, i64::MIN), |(l, m), count| {
+        (l.min(count), m.max(count))
+    });
     // A whole turn of 50 pole pairs moves this far or more.
     let expected = told_counts * f64::from(FIELD_TURNS) / f64::from(MOST_POLE_PAIRS);
     let uneven = counts.iter().any(|count| (count - counts[0]).abs() > 1e-9);
@@ -272,12 +287,18 @@ fn turn<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
         let forth = index < usize::from(each_way);
         let turn = if forth { step } else { -step } / PER_TURN;
         let now = f64::from(sums.angle) / PER_TURN - 0.5 * turn * f64::from(window - 1);
-        let near = if at.is_nan() { now } else { at + turn * f64::from(window) };
+        let near = if at.is_nan() {
+            now
+        } else {
+            at + turn * f64::from(window)
+        };
         at = now + (near - now).round();
         field.push(at);
     }
     let way = |from: usize, to: usize| -> Vec<(f64, f64)> {
-        (from..to).map(|index| (field[index], counts[index])).collect()
+        (from..to)
+            .map(|index| (field[index], counts[index]))
+            .collect()
     };
     let (first, lead) = (usize::from(each_way), usize::from(lead));
     let forth = way(lead, first);
@@ -313,7 +334,8 @@ fn turn<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
         .into());
     }
     let whole = pole_pairs.round();
-    if !((pole_pairs - whole).abs() <= WHOLE && whole >= 1.0 && whole <= f64::from(MOST_POLE_PAIRS)) {
+    if !((pole_pairs - whole).abs() <= WHOLE && whole >= 1.0 && whole <= f64::from(MOST_POLE_PAIRS))
+    {
         return Err(Refusal::NotWhole {
             pole_pairs,
             counts_per_rev: calibration.told.counts_per_rev,
@@ -337,7 +359,10 @@ fn turn<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
     let per_turn = usize::from(PER_FIELD_TURN);
     let zeros = |way: &[(f64, f64)]| -> Vec<f64> {
         let zero = |points: &[(f64, f64)]| {
-            let sum: f64 = points.iter().map(|(field, count)| field - per_count * count).sum();
+            let sum: f64 = points
+                .iter()
+                .map(|(field, count)| field - per_count * count)
+                .sum();
             sum / points.len() as f64
         };
         way.chunks_exact(per_turn).map(zero).collect()
@@ -391,7 +416,7 @@ fn inductance<B: Bench>(
     // Even without inductance this one is no larger than the current that holds.
     let first_v = held_v.min(0.1 * calibration.reach_v());
     let most_v = calibration.reach_v() - held_v;
-    let (volts, quarter) = calibration.find_ripple(&held, first_v, most_v)?;
+    let (volts, quarter) = calibration.find_ripple(&held, RIPPLE, first_v, most_v)?;
     let long = Excitation {
         quarter,
         settle: calibration.ticks(150e-3),
@@ -419,7 +444,11 @@ fn inductance<B: Bench>(
         Some([seen[(0, 0)], seen[(1, 1)]])
     };
     let all = both(&along, &across);
-    let mut found = [Estimate { value: f64::NAN, low: f64::NAN, high: f64::NAN }; 2];
+    let mut found = [Estimate {
+        value: f64::NAN,
+        low: f64::NAN,
+        high: f64::NAN,
+    }; 2];
     let groups: Vec<[f64; 2]> = along
         .chunks(2)
         .zip(across.chunks(2))
