@@ -10,20 +10,12 @@ use plant_sim::identify::Estimate;
 use protocol::{Excitation, Sums};
 
 use super::refusal::{Phase, Refusal};
-use super::shared::{Calibration, Level, SYSTEMATIC, Times, angle, estimate, inductance_h, mean};
+use super::shared::{Calibration, Level, SHORT, SYSTEMATIC, angle, estimate, inductance_h, mean};
 use super::sums::{self, ripple_of_one};
 use super::{Bench, Found, Step};
 
 /// The direction from B to C.
 const B_TO_C: f64 = 0.25;
-
-/// So short that the motor hardly turns.
-const SEARCHING: Times = Times {
-    rise_s: 0.1e-3,
-    settle_s: 0.5e-3,
-    window_s: 0.5e-3,
-    windows: 2,
-};
 
 /// The part of the current limit at which the search ends; where voltage turns round while it spins, twice
 /// as much flows.
@@ -58,7 +50,7 @@ const ACROSS_ZERO: f64 = 0.05;
 
 pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<Found, B::Error> {
     calibration.begin(Step::Resistance);
-    let level = calibration.search(B_TO_C, SEARCH, &SEARCHING)?;
+    let level = calibration.search(B_TO_C, SEARCH, &SHORT)?;
     connected(calibration, &level)?;
     calibration.begin(Step::Inductance);
     let ripple = ripple(calibration)?;
@@ -137,7 +129,7 @@ fn connected<B: Bench>(
         [false, true] => (Phase::C, 5.0 / 6.0),
         [true, true] => {
             // Three phases: along A current flows too.
-            let along = calibration.level(0.0, level.volts, 0.0, &SEARCHING)?;
+            let along = calibration.level(0.0, level.volts, 0.0, &SHORT)?;
             let along = along.ok_or_else(|| calibration.short(level.volts))?;
             for [b_a, c_a] in [level.currents, along.currents] {
                 if (b_a + c_a).abs() > nothing.max(0.2 * level.most_a()) {
@@ -147,7 +139,7 @@ fn connected<B: Bench>(
             return Ok(());
         }
     };
-    let again = calibration.search(turns, SEARCH, &SEARCHING)?;
+    let again = calibration.search(turns, SEARCH, &SHORT)?;
     let nothing = calibration.nothing_a(&again);
     let [b_a, c_a] = again.currents;
     let (flows_a, silent, code) = match other {

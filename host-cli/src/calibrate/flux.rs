@@ -18,6 +18,9 @@ const SPIN_RAD_S: f64 = 40.0;
 /// The part of the voltage that back-EMF is to have.
 const EMF_PART: f64 = 0.4;
 
+/// By how much the zero of a fast turn may differ from that of the slow one, electrical turns.
+const OFF_TURNS: f64 = 0.03;
+
 /// Of the flux, beside the noise.
 const SYSTEMATIC: f64 = 0.02;
 
@@ -29,6 +32,8 @@ struct Spin {
     along_a: f64,
     /// Against the voltage, A.
     current: Vector,
+    /// By how much the back-EMF leads the rotor's q axis, turns: by how much the zero is wrong.
+    off_turns: f64,
 }
 
 /// ψ, Wb.
@@ -40,33 +45,37 @@ pub(super) fn measure<B: Bench>(
     level: &Level,
     resistance_ohm: f64,
     turn: &Turn,
-    d_inductance: &Estimate,
+    inductances: [Estimate; 2],
 ) -> Result<Estimate, B::Error> {
     let pole_pairs = f64::from(turn.pole_pairs);
     let held_v = resistance_ohm * level.vector.norm();
     let motor = Motor {
         level: *level,
         resistance_ohm,
-        d_inductance_h: d_inductance.value,
+        inductance_h: inductances.map(|estimate| estimate.value),
     };
     let slow = FIRST_SPIN_RAD_S * pole_pairs;
     let expected = Vector::new(level.vector.norm(), 0.0);
     let first = spin(calibration, &motor, turn, slow, expected)?;
     let lag = -first.current.arg();
-    let emf_v = (EMF_PART * held_v / first.flux_wb.abs()).min(SPIN_RAD_S * pole_pairs);
+    let fast = (EMF_PART * held_v / first.flux_wb.abs()).min(SPIN_RAD_S * pole_pairs);
     // The lag grows with the speed, up to the angle whose sine is the back-EMF's part.
-    let there = Vector::from_polar(first.current.norm(), -(lag * emf_v / slow).min(0.45));
-    let second = spin(calibration, &motor, turn, emf_v, there)?;
-    let forth = spin(calibration, &motor, turn, emf_v, second.current)?;
-    let back = spin(calibration, &motor, turn, -emf_v, second.current.conj())?;
+    let there = Vector::from_polar(first.current.norm(), -(lag * fast / slow).min(0.45));
+    let second = spin(calibration, &motor, turn, fast, there)?;
+    let forth = spin(calibration, &motor, turn, fast, second.current)?;
+    let back = spin(calibration, &motor, turn, -fast, second.current.conj())?;
     let value = 0.5 * (forth.flux_wb + back.flux_wb);
     let deviation = 0.5 * forth.deviation_wb.hypot(back.deviation_wb);
     // The two ways differ by what an angle that is a little off brings, of which the second order remains.
     let differ = 0.5 * (forth.flux_wb - back.flux_wb).abs();
     let along_a = forth.along_a.abs().max(back.along_a.abs());
+    let off_turns = 0.5 * (forth.off_turns + back.off_turns).abs();
+    if !(off_turns <= OFF_TURNS) {
+        return Err(Refusal::ZeroMoved { turns: off_turns }.into());
+    }
     let half = DEVIATIONS * deviation
         + 0.1 * differ
-        + 0.5 * (d_inductance.high - d_inductance.low) * along_a
+        + 0.5 * (inductances[0].high - inductances[0].low) * along_a
         + SYSTEMATIC * value.abs();
     let found = Estimate {
         value,
@@ -89,7 +98,7 @@ pub(super) fn measure<B: Bench>(
 struct Motor {
     level: Level,
     resistance_ohm: f64,
-    d_inductance_h: f64,
+    inductance_h: [f64; 2],
 }
 
 /// In a field that turns at `speed` (rad/s, electrical), dead time made up for at the current `expected`.
@@ -105,7 +114,7 @@ fn spin<B: Bench>(
     let Motor {
         level,
         resistance_ohm,
-        d_inductance_h,
+        inductance_h: [d_h, q_h],
     } = motor;
     let period_s = f64::from(calibration.stage.pwm_period_s);
     let window = (TAU / speed.abs() / period_s / 4.0)
@@ -143,7 +152,8 @@ fn spin<B: Bench>(
         Vector::new(level.volts, 0.0) + along(expected, turning_v(calibration, expected.norm()));
     let part = dead_part(calibration, level, *resistance_ohm);
     let mut fluxes = Vec::new();
-    let (mut along_a, mut mean_current) = (0.0, Vector::new(0.0, 0.0));
+    let (mut along_a, mut off_turns) = (0.0, 0.0);
+    let mut mean_current = Vector::new(0.0, 0.0);
     let number = windows.len() as f64;
     for sums in windows.chunks(1) {
         // The field in the middle of the window, at the moments of the currents; the voltage's mean lies half a
@@ -154,8 +164,12 @@ fn spin<B: Bench>(
         let taken = along(seen, part * turning_v(calibration, seen.norm()));
         let current = seen * to_rotor;
         let volts = put * turned(-0.5 * turn_by) - taken;
-        let across_v = (volts * to_rotor - current * *resistance_ohm).im;
-        fluxes.push(across_v / speed - d_inductance_h * current.re);
+        let behind_r = volts * to_rotor - current * *resistance_ohm;
+        // The back-EMF over the speed, along d and q.
+        let q_wb = behind_r.im / speed - d_h * current.re;
+        let d_wb = behind_r.re / speed + q_h * current.im;
+        fluxes.push(q_wb);
+        off_turns += (-d_wb).atan2(q_wb) / TAU / number;
         along_a += current.re / number;
         mean_current += seen / number;
     }
@@ -165,6 +179,7 @@ fn spin<B: Bench>(
         deviation_wb,
         along_a,
         current: mean_current,
+        off_turns,
     })
 }
 

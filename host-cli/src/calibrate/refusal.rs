@@ -164,6 +164,14 @@ pub enum Refusal {
         /// Counts back.
         back: f64,
     },
+    /// The zero of the encoder is no longer where it was.
+    #[error(
+        "the encoder's zero was off by {turns:.2} electrical turns when the field turned fast: the encoder slips on the shaft or loses counts"
+    )]
+    ZeroMoved {
+        /// How far.
+        turns: f64,
+    },
     /// A part of a pole pair.
     #[error(
         "the count moved as with {pole_pairs:.2} pole pairs, which is no whole number: the encoder slips, or {counts_per_rev} counts in a turn are wrong"

@@ -187,7 +187,7 @@ impl<'a, B: Bench> Calibration<'a, B> {
         self.begin(Step::Offsets);
         let excitation = Excitation {
             rise: 1,
-            settle: self.ticks(10e-3),
+            settle: 1,
             quarter: 1,
             window: self.ticks(10e-3) / 4 * 4,
             windows: 32,
@@ -200,7 +200,9 @@ impl<'a, B: Bench> Calibration<'a, B> {
             return Err(Refusal::CurrentWithoutVoltage { limit_a }.into());
         }
         let windows = &recorded.windows;
-        let counts = windows.iter().map(|sums| f64::from(sums.count));
+        let counts = windows
+            .chunks(1)
+            .flat_map(|sums| [sums::count(sums), f64::from(sums[0].count)]);
         let (least, most) = counts.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), count| {
             (l.min(count), m.max(count))
         });
@@ -401,6 +403,14 @@ pub(super) struct Times {
     pub window_s: f64,
     pub windows: u16,
 }
+
+/// So short that a motor hardly turns.
+pub(super) const SHORT: Times = Times {
+    rise_s: 0.1e-3,
+    settle_s: 0.5e-3,
+    window_s: 0.5e-3,
+    windows: 2,
+};
 
 impl Level {
     /// Of the phase with the most, A.

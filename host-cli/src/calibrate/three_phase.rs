@@ -8,8 +8,8 @@ use protocol::{Excitation, Sums};
 
 use super::refusal::{Phase, Refusal};
 use super::shared::{
-    Calibration, DEVIATIONS, Level, MOST_POLE_PAIRS, SYSTEMATIC, Times, estimate, inductance_h,
-    mean,
+    Calibration, DEVIATIONS, Level, MOST_POLE_PAIRS, SHORT, SYSTEMATIC, Times, estimate,
+    inductance_h, mean,
 };
 use super::sums::{self, PER_TURN, ripple_of_one, turned};
 use super::{Bench, Found, Step, flux};
@@ -70,7 +70,7 @@ pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<
     calibration.begin(Step::Inductance);
     let [d, q] = inductance(calibration, &level, &resistance, &turn)?;
     calibration.begin(Step::BackEmf);
-    let flux = flux::measure(calibration, &level, resistance.value, &turn, &d)?;
+    let flux = flux::measure(calibration, &level, resistance.value, &turn, [d, q])?;
     let per_flux = 1.5 * f64::from(turn.pole_pairs);
     let measured = Estimate {
         value: per_flux * flux.value,
@@ -101,8 +101,8 @@ pub(super) fn measure<B: Bench>(calibration: &mut Calibration<'_, B>) -> Result<
 fn resistance<B: Bench>(
     calibration: &mut Calibration<'_, B>,
 ) -> Result<(Estimate, Level), B::Error> {
-    let first = calibration.search(0.0, SEARCH, &SEARCHING)?;
-    connected(calibration, &first)?;
+    let mut first = calibration.search(0.0, SEARCH, &SEARCHING)?;
+    connected(calibration, &mut first)?;
     let limit_a = calibration.told.current_max_a;
     let current_a = first.vector.re;
     let volts = (first.volts * USED * limit_a / current_a).min(calibration.reach_v());
@@ -155,21 +155,32 @@ fn resistance<B: Bench>(
 /// Whether all three phases bear current, from a voltage along phase A.
 fn connected<B: Bench>(
     calibration: &mut Calibration<'_, B>,
-    level: &Level,
+    level: &mut Level,
 ) -> Result<(), B::Error> {
-    let nothing = calibration.nothing_a(level);
-    let [b, c] = level.currents.map(|current| current.abs() > nothing);
-    let (volts, codes) = (level.volts, calibration.scale.zero_codes);
-    if b && c {
-        return Ok(());
+    let volts = level.volts;
+    let mut flows = [false; 2];
+    // Once more with time to come to rest: while the rotor swings, a current may be 0 for a moment.
+    for again in [false, true] {
+        if again {
+            let limit_a = calibration.told.current_max_a;
+            let slow = calibration.level(0.0, volts, limit_a, &MEASURING)?;
+            *level = slow.ok_or_else(|| calibration.short(volts))?;
+        }
+        let nothing = calibration.nothing_a(level);
+        flows = level.currents.map(|current| current.abs() > nothing);
+        if flows == [true, true] {
+            return Ok(());
+        }
     }
+    let codes = calibration.scale.zero_codes;
     // Where it would flow if the silent phase were open: not at all along that phase.
-    let (phase, turns) = match (b, c) {
-        (false, true) => (Phase::B, 1.0 / 3.0),
-        (true, false) => (Phase::C, 2.0 / 3.0),
+    let (phase, turns) = match flows {
+        [false, true] => (Phase::B, 1.0 / 3.0),
+        [true, false] => (Phase::C, 2.0 / 3.0),
         _ => (Phase::A, 0.25),
     };
-    let other = calibration.search(turns, SEARCH, &SEARCHING)?;
+    // A brushed motor, if it is one, is not to spin.
+    let other = calibration.search(turns, SEARCH, &SHORT)?;
     let nothing = calibration.nothing_a(&other);
     let [b, c] = other.currents;
     let flows_a = match phase {
