@@ -3,9 +3,12 @@
 //! - [`ticker`]: what the tick's interrupt does, and the state disarmed, armed, fault;
 //! - [`commission`]: measuring a motor, in the current tick;
 //! - [`desk`]: what answers the host, below the tick;
+//! - [`current_tick`]: on a board with a power stage, what the interrupt of every PWM period does, the tick in it;
+//! - [`drive`]: what drives the motor there;
 //! - [`power`]: what a power stage and the firmware hand each other;
 //! - [`settings`]: parameters as they come over the wire, checked and made into a plan;
 //! - [`store`]: settings that survive, in two sectors of flash;
+//! - [`odrive_v3`]: the motor-driver board, up to its registers;
 //! - [`board`]: what a board owes the two; the boards themselves lie in `src/board/`.
 //!
 //! The ticker and the desk share a [`Link`] and two queues of `heapless`; neither ever waits for the
@@ -15,7 +18,10 @@
 
 pub mod board;
 pub mod commission;
+pub mod current_tick;
 pub mod desk;
+pub mod drive;
+pub mod odrive_v3;
 pub mod power;
 pub mod settings;
 pub mod store;
