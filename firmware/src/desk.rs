@@ -11,10 +11,12 @@ use protocol::{
     Subscription, Telemetry, ToDevice, VERSION, decode, encode,
 };
 
+use crate::commission::{self, Run, Told};
 use crate::settings::{self, BoardKind, DEFAULT_SETTINGS, HIGHEST, LOWEST, Settings, Start};
 use crate::store::{Keep, SaveError};
 use crate::ticker::{Command, Occasion, Record, StateCode};
-use crate::{CommandSender, Link, RecordReceiver};
+use crate::{CommandSender, Link, MeasurementReceiver, RecordReceiver};
+use heapless::spsc::Consumer;
 
 /// Who this is.
 #[derive(Debug, Clone, Copy)]
@@ -67,6 +69,7 @@ pub struct Desk<'a, K> {
     link: &'a Link,
     commands: CommandSender<'a>,
     records: RecordReceiver<'a>,
+    measurements: Option<MeasurementReceiver<'a>>,
 }
 
 impl<'a, K: Keep> Desk<'a, K> {
@@ -96,6 +99,16 @@ impl<'a, K: Keep> Desk<'a, K> {
             link,
             commands,
             records,
+            measurements: None,
+        }
+    }
+
+    /// The same, told what excitations bring.
+    #[must_use]
+    pub fn told(self, measurements: MeasurementReceiver<'a>) -> Self {
+        Self {
+            measurements: Some(measurements),
+            ..self
         }
     }
 
@@ -126,6 +139,15 @@ impl<'a, K: Keep> Desk<'a, K> {
                 break;
             };
             self.tell(&record, &mut write);
+        }
+        for _ in 0..RECORDS_AT_A_TIME {
+            let measured = self.measurements.as_mut().and_then(Consumer::dequeue);
+            let event = match measured {
+                Some(Told::Sums(sums)) => Event::Measured(sums),
+                Some(Told::End(end)) => Event::Calibrated { end },
+                None => break,
+            };
+            self.send_unasked(Message::Event(event), &mut write);
         }
         let dropped = self.link.dropped.load(Relaxed);
         if dropped != self.dropped_told {
@@ -240,9 +262,24 @@ impl<'a, K: Keep> Desk<'a, K> {
                 Err(refusal) => Message::Refused(refusal),
             },
             Request::LastFault => Message::Snapshot(self.snapshot),
-            Request::Calibrate(_) => Message::Refused(Refusal::NoPowerStage),
+            Request::Calibrate(excitation) => {
+                let run = match &self.identity.kind {
+                    BoardKind::Stage(facts) => Run::new(excitation, facts),
+                    _ => return send(sequence, Message::Refused(Refusal::NoPowerStage), write),
+                };
+                match run {
+                    Ok(run) => {
+                        let command = Command::Excite(run);
+                        return self.command(sequence, command, self.settings, false, write);
+                    }
+                    Err(_) => Message::Refused(Refusal::Excitation),
+                }
+            }
             Request::Push(_) => Message::Refused(Refusal::Push),
-            Request::PowerStage => Message::PowerStage(None),
+            Request::PowerStage => Message::PowerStage(match &self.identity.kind {
+                BoardKind::Stage(facts) => Some(commission::power_stage(facts)),
+                _ => None,
+            }),
         };
         send(sequence, answer, write);
     }

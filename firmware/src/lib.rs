@@ -35,6 +35,7 @@ use ticker::{Command, Record, StateCode};
 
 const COMMANDS: usize = 2;
 const RECORDS: usize = 64;
+const MEASUREMENTS: usize = 32;
 
 /// Commands on their way to the tick: the desk sends the next when the last was taken.
 pub type Commands = Queue<Command, COMMANDS>;
@@ -47,6 +48,13 @@ pub type CommandSender<'a> = Producer<'a, Command, COMMANDS>;
 pub type CommandReceiver<'a> = Consumer<'a, Command, COMMANDS>;
 /// The tick's end of [`Records`].
 pub type RecordSender<'a> = Producer<'a, Record, RECORDS>;
+/// What an excitation has brought, on its way to the desk: so much as a slow line may be behind.
+pub type Measurements = Queue<commission::Told, MEASUREMENTS>;
+/// The current tick's end of [`Measurements`].
+pub type MeasurementSender<'a> = Producer<'a, commission::Told, MEASUREMENTS>;
+/// The desk's end of [`Measurements`].
+pub type MeasurementReceiver<'a> = Consumer<'a, commission::Told, MEASUREMENTS>;
+
 /// The desk's end of [`Records`].
 pub type RecordReceiver<'a> = Consumer<'a, Record, RECORDS>;
 

@@ -70,6 +70,7 @@ enum Command {
     ResetSettings(orders::Args),
     Log(commands::log::Args),
     Identify(commands::identify::Args),
+    Calibrate(commands::calibrate::Args),
 }
 
 /// What the program `knob` does with its arguments: its exit status.
@@ -100,6 +101,7 @@ pub fn run() -> ExitCode {
         Command::ResetSettings(args) => orders::run(&args, Order::ResetSettings),
         Command::Log(args) => commands::log::run(&args),
         Command::Identify(args) => commands::identify::run(&args),
+        Command::Calibrate(args) => commands::calibrate::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

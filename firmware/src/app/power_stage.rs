@@ -9,7 +9,7 @@ mod app {
     use firmware::settings::{self, BoardKind};
     use firmware::store::Keep;
     use firmware::ticker::Ticker;
-    use firmware::{Commands, Link, Records};
+    use firmware::{Commands, Link, Measurements, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
 
@@ -43,6 +43,7 @@ mod app {
         byte_queue: Bytes = Queue::new(),
         commands: Commands = Queue::new(),
         records: Records = Queue::new(),
+        measurements: Measurements = Queue::new(),
         link: Link = Link::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
@@ -58,6 +59,7 @@ mod app {
         let (received, bytes) = cx.local.byte_queue.split();
         let (command_sender, command_receiver) = cx.local.commands.split();
         let (record_sender, record_receiver) = cx.local.records.split();
+        let (measurement_sender, measurement_receiver) = cx.local.measurements.split();
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
             git_hash: env!("GIT_HASH"),
@@ -80,7 +82,8 @@ mod app {
             command_receiver,
             record_sender,
         );
-        let current = CurrentTick::new(ticker, power, Stage::COUNTER_BITS, counter);
+        let current = CurrentTick::new(ticker, power, Stage::COUNTER_BITS, counter)
+            .telling(measurement_sender);
         let desk = Desk::new(
             identity,
             &start,
@@ -88,7 +91,8 @@ mod app {
             link,
             command_sender,
             record_receiver,
-        );
+        )
+        .told(measurement_receiver);
         defmt::info!(
             "knob {=str} ({=str}) on {=str}",
             identity.firmware,

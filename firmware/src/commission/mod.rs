@@ -47,6 +47,19 @@ pub struct Step {
     pub end: Option<ExcitationEnd>,
 }
 
+/// What the current tick has to tell the host, on its way to the desk.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "some thirty of them lie in the queue; without an allocator nothing is boxed"
+)]
+pub enum Told {
+    /// A window is over.
+    Sums(Sums),
+    /// The excitation is.
+    End(ExcitationEnd),
+}
+
 /// Where an excitation is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Part {
