@@ -49,10 +49,6 @@ pub struct Step {
 
 /// What the current tick has to tell the host, on its way to the desk.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "some thirty of them lie in the queue; without an allocator nothing is boxed"
-)]
 pub enum Told {
     /// A window is over.
     Sums(Sums),

@@ -25,16 +25,21 @@ pub enum ExcitationError {
     TooFast(i32),
 }
 
+/// False for what is not a number.
+fn at_most(value: f64, most: f64) -> bool {
+    value <= most
+}
+
 pub(super) fn check(asked: &Excitation, facts: &StageFacts) -> Result<(), ExcitationError> {
     let volts = [asked.steady_v, asked.along_v, asked.across_v];
     for value in volts {
-        if !(f64::from(value.abs()) <= facts.bus_most_v) {
+        if !at_most(f64::from(value.abs()), facts.bus_most_v) {
             return Err(ExcitationError::Volts(value));
         }
     }
     let most = facts.current_linear_a;
     for current in asked.steady_a {
-        if !(f64::from(current.abs()) <= most) {
+        if !at_most(f64::from(current.abs()), most) {
             return Err(ExcitationError::Current(current));
         }
     }
@@ -43,7 +48,7 @@ pub(super) fn check(asked: &Excitation, facts: &StageFacts) -> Result<(), Excita
     }
     for code in asked.zero_codes {
         let off = (f64::from(code) - facts.current_zero_code).abs();
-        if !(off <= facts.current_zero_spread) {
+        if !at_most(off, facts.current_zero_spread) {
             return Err(ExcitationError::ZeroCode(code));
         }
     }

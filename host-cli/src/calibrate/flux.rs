@@ -7,7 +7,7 @@ use protocol::Excitation;
 
 use super::Bench;
 use super::refusal::Refusal;
-use super::shared::{Calibration, DEVIATIONS, Level, mean};
+use super::shared::{Calibration, DEVIATIONS, Level, at_most, mean};
 use super::sums::{self, PER_TURN, Vector, turned};
 use super::three_phase::Turn;
 
@@ -70,7 +70,7 @@ pub(super) fn measure<B: Bench>(
     let differ = 0.5 * (forth.flux_wb - back.flux_wb).abs();
     let along_a = forth.along_a.abs().max(back.along_a.abs());
     let off_turns = 0.5 * (forth.off_turns + back.off_turns).abs();
-    if !(off_turns <= OFF_TURNS) {
+    if !at_most(off_turns, OFF_TURNS) {
         return Err(Refusal::ZeroMoved { turns: off_turns }.into());
     }
     let half = DEVIATIONS * deviation
@@ -141,7 +141,7 @@ fn spin<B: Bench>(
     };
     let moved = (way * f64::from(turn.pole_pairs) / turn.counts_per_rev).abs();
     let off = (moved - f64::from(turns - 1)).abs();
-    if !(off <= 0.3) {
+    if !at_most(off, 0.3) {
         return Err(Refusal::Follows {
             turns: off,
             current_a: expected.norm(),

@@ -456,6 +456,11 @@ pub(super) fn inductance_h(
     low
 }
 
+/// False for what is not a number.
+pub(super) fn at_most(value: f64, most: f64) -> bool {
+    value <= most
+}
+
 /// Turns in 2⁻³².
 pub(super) fn angle(turns: f64) -> u32 {
     (turns.rem_euclid(1.0) * PER_TURN) as u64 as u32

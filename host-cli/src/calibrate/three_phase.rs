@@ -8,7 +8,7 @@ use protocol::{Excitation, Sums};
 
 use super::refusal::{Phase, Refusal};
 use super::shared::{
-    Calibration, DEVIATIONS, Level, MOST_POLE_PAIRS, SHORT, SYSTEMATIC, Times, estimate,
+    Calibration, DEVIATIONS, Level, MOST_POLE_PAIRS, SHORT, SYSTEMATIC, Times, at_most, estimate,
     inductance_h, mean,
 };
 use super::sums::{self, PER_TURN, ripple_of_one, turned};
@@ -128,7 +128,7 @@ fn resistance<B: Bench>(
     let (value, scatter) = mean(&ohm);
     let most = ohm.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let least = ohm.iter().copied().fold(f64::INFINITY, f64::min);
-    if !(most - least <= EQUAL * value + 6.0 * deviation) {
+    if !at_most(most - least, EQUAL * value + 6.0 * deviation) {
         return Err(Refusal::Unequal {
             ohm,
             accepted: EQUAL,
@@ -140,7 +140,7 @@ fn resistance<B: Bench>(
         (deviation * deviation / 3.0 + scatter * scatter).sqrt(),
         SYSTEMATIC,
     );
-    if !(found.half_width() <= VAGUE) {
+    if !at_most(found.half_width(), VAGUE) {
         return Err(Refusal::Vague {
             name: "the resistance (Ω)",
             low: found.low,
@@ -320,7 +320,7 @@ fn turn<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
     let moved = f64::from(FIELD_TURNS);
     let pole_pairs = told_counts / slope.abs();
     let off = off_forth.max(off_home) / slope.abs().max(1e-9);
-    if !(off <= OFF_THE_LINE) {
+    if !at_most(off, OFF_THE_LINE) {
         // A count that leaps is off one way only; a rotor that is held back is off both ways.
         let differ = (slope_forth - slope_home).abs() > SAME_WAY * slope.abs();
         let only_one = off_forth.max(off_home) > 4.0 * off_forth.min(off_home);
@@ -337,7 +337,7 @@ fn turn<B: Bench>(calibration: &mut Calibration<'_, B>, level: &Level) -> Result
         }
         .into());
     }
-    if !((slope_forth - slope_home).abs() <= SAME_WAY * slope.abs()) {
+    if !at_most((slope_forth - slope_home).abs(), SAME_WAY * slope.abs()) {
         return Err(Refusal::Slips {
             there: moved * slope_forth.abs(),
             back: moved * slope_home.abs(),
