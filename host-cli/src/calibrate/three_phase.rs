@@ -179,8 +179,8 @@ fn connected<B: Bench>(
         [true, false] => (Phase::C, 2.0 / 3.0),
         _ => (Phase::A, 0.25),
     };
-    // A brushed motor, if it is one, is not to spin.
-    let other = calibration.search(turns, SEARCH, &SHORT)?;
+    // A brushed motor, if it is one, is not to spin; and a phase whose converter stands bears more than is seen.
+    let other = calibration.search(turns, 0.5 * SEARCH, &SHORT)?;
     let nothing = calibration.nothing_a(&other);
     let [b, c] = other.currents;
     let flows_a = match phase {
