@@ -123,14 +123,18 @@ pub fn run(args: &Args) -> Result<()> {
         identity: &identity,
         stage,
         bar,
+        begun: false,
     };
     let found = calibrate::calibrate(&mut line, &told);
     line.bar.finish_and_clear();
+    let begun = line.begun;
     let found = match found {
         Ok(found) => found,
         Err(error) => {
-            // Whatever it was, the bridge is off afterwards. Where it is off already this does nothing.
-            let _ = device.break_off();
+            if begun {
+                // What went wrong is told, not that this did too: it ends by itself.
+                let _ = device.break_off();
+            }
             return Err(error);
         }
     };
@@ -170,6 +174,8 @@ struct Line<'a> {
     identity: &'a Identity,
     stage: PowerStage,
     bar: ProgressBar,
+    /// An excitation may be under way.
+    begun: bool,
 }
 
 impl Bench for Line<'_> {
@@ -180,12 +186,16 @@ impl Bench for Line<'_> {
     }
 
     fn excite(&mut self, excitation: &Excitation) -> Result<Recorded> {
+        self.begun = true;
         match self.device.order(Request::Calibrate(*excitation))? {
             Outcome::Done { .. } => {}
-            Outcome::Refused(refusal) => bail!(
-                "the device does not measure: {}",
-                words::refusal(&refusal, &self.identity.board, None)
-            ),
+            Outcome::Refused(refusal) => {
+                self.begun = false;
+                bail!(
+                    "the device does not measure: {}",
+                    words::refusal(&refusal, &self.identity.board, None)
+                );
+            }
         }
         let mut windows = Vec::new();
         let mut since = Instant::now();
@@ -196,6 +206,7 @@ impl Bench for Line<'_> {
                     since = Instant::now();
                 }
                 Some((_, Unasked::Event(Event::Calibrated { end }))) => {
+                    self.begun = false;
                     return Ok(Recorded { windows, end });
                 }
                 Some(_) => {}
