@@ -10,7 +10,7 @@ use firmware::power::{Bridge, ODRIVE_V3_24V, Sensed};
 use firmware::settings::{self, BoardKind, NO_MOTOR};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
-use firmware::{Commands, Link, Measurements, Records};
+use firmware::{Commands, Link, Measurements, Moves, Records};
 use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding};
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
@@ -50,6 +50,7 @@ impl<K: Keep> PoweredTwin<K> {
         let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
         let measurements: &'static mut Measurements = Box::leak(Box::new(Measurements::new()));
         let (measurement_sender, measurement_receiver) = measurements.split();
+        let (move_sender, move_receiver) = Box::leak(Box::new(Moves::new())).split();
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
             git_hash,
@@ -64,6 +65,7 @@ impl<K: Keep> PoweredTwin<K> {
             link,
             command_receiver,
             record_sender,
+            move_sender,
         );
         let power = start.settled.power.expect("a stage has settings");
         Self {
@@ -76,6 +78,7 @@ impl<K: Keep> PoweredTwin<K> {
                 link,
                 command_sender,
                 record_receiver,
+                move_receiver,
             )
             .told(measurement_receiver),
             inbox: VecDeque::new(),

@@ -16,8 +16,9 @@ mod parameters;
 pub use calibration::{Excitation, ExcitationEnd, PowerStage, Sums};
 pub use frame::{FRAME_MAX, FrameError, Frames, decode, encode};
 pub use message::{
-    ClampReason, Event, Fault, Fields, FromDevice, Hello, MOVES_MAX, Message, Moves, Push, Refusal,
-    Request, ResetReason, Snapshot, State, Status, Stored, Subscription, Telemetry, ToDevice,
+    ClampReason, Event, Fault, Fields, FromDevice, Hello, MOVES_MAX, Message, Moves, Push, PushEnd,
+    Refusal, Request, ResetReason, Snapshot, State, Status, Stored, Subscription, Telemetry,
+    ToDevice,
 };
 pub use parameters::{
     Changes, Drive, Interval, Law, Motor, MotorChanges, MotorName, Name, Parameters, Shape,

@@ -9,7 +9,7 @@ mod app {
     use firmware::settings::{self, BoardKind};
     use firmware::store::Keep;
     use firmware::ticker::Ticker;
-    use firmware::{Commands, Link, Measurements, Records};
+    use firmware::{Commands, Link, Measurements, Moves, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
 
@@ -44,6 +44,7 @@ mod app {
         commands: Commands = Queue::new(),
         records: Records = Queue::new(),
         measurements: Measurements = Queue::new(),
+        moves: Moves = Queue::new(),
         link: Link = Link::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
@@ -60,6 +61,7 @@ mod app {
         let (command_sender, command_receiver) = cx.local.commands.split();
         let (record_sender, record_receiver) = cx.local.records.split();
         let (measurement_sender, measurement_receiver) = cx.local.measurements.split();
+        let (move_sender, move_receiver) = cx.local.moves.split();
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
             git_hash: env!("GIT_HASH"),
@@ -81,6 +83,7 @@ mod app {
             link,
             command_receiver,
             record_sender,
+            move_sender,
         );
         let current = CurrentTick::new(ticker, power, Stage::COUNTER_BITS, counter)
             .telling(measurement_sender);
@@ -91,6 +94,7 @@ mod app {
             link,
             command_sender,
             record_receiver,
+            move_receiver,
         )
         .told(measurement_receiver);
         defmt::info!(

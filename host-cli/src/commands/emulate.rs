@@ -82,7 +82,7 @@ pub fn run(args: &Args) -> Result<()> {
                 || scene.motor != Motor::default()
             {
                 eprintln!(
-                    "the scene's hand, delay, lag, torque steps, cogging and stiction are not emulated"
+                    "the scene's hand, windings, delay, lag, torque steps, cogging and stiction are not emulated"
                 );
             }
             let counts = std::f64::consts::TAU / scene.config.hardware_count_rad;

@@ -10,7 +10,7 @@ use firmware::power::{Bridge, ODRIVE_V3_24V, Sensed};
 use firmware::settings::{self, BoardKind};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
-use firmware::{Commands, Link, Measurements, Records};
+use firmware::{Commands, Link, Measurements, Moves, Records};
 use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding, Wiring};
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
@@ -79,6 +79,7 @@ pub fn board_with_motor(wiring: Wiring) -> Port {
     let link: &'static Link = Box::leak(Box::new(Link::new()));
     let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
     let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
+    let (move_sender, move_receiver) = Box::leak(Box::new(Moves::new())).split();
     let measurements: &'static mut Measurements = Box::leak(Box::new(Measurements::new()));
     let (measurement_sender, measurement_receiver) = measurements.split();
     let identity = Identity {
@@ -96,6 +97,7 @@ pub fn board_with_motor(wiring: Wiring) -> Port {
         link,
         command_receiver,
         record_sender,
+        move_sender,
     );
     let power = start.settled.power.unwrap();
     let mut current =
@@ -107,6 +109,7 @@ pub fn board_with_motor(wiring: Wiring) -> Port {
         link,
         command_sender,
         record_receiver,
+        move_receiver,
     )
     .told(measurement_receiver);
     let mut inbox = VecDeque::new();
