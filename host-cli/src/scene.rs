@@ -29,6 +29,7 @@ use plant_sim::hand::Hand;
 use plant_sim::hold::State;
 use plant_sim::knob::{Knob, KnobError};
 use plant_sim::motor::{MOST_PERIODS, Motor};
+use plant_sim::powered::Setup;
 
 use accepted::{MOST, bound, finite, not_negative, plain, positive, refuse, share, signed};
 use electrical::Electrical;
@@ -89,6 +90,12 @@ impl Loaded {
             passed: driven.passed(),
         };
         Ok((report, Some(windings)))
+    }
+
+    /// The knob with its windings, if it has any.
+    pub fn powered(&self) -> Option<Setup> {
+        let electrical = self.electrical.as_ref()?;
+        Some(electrical.setup(&self.scene))
     }
 
     /// Whether it has windings.

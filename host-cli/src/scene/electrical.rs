@@ -49,27 +49,29 @@ impl Electrical {
     /// # Errors
     /// See [`Driven::new`].
     pub fn driven(&self, scene: &Scene) -> Result<Driven, DrivenError> {
-        Driven::new(
-            &Setup {
-                device: scene.device,
-                motor: scene.motor,
-                hand: scene.hand,
-                winding: self.winding,
-                inverter: self.inverter,
-                sensing: CurrentSensing {
-                    seed: scene.seed,
-                    ..self.sensing
-                },
-                supply: self.supply,
-                encoder: EncoderSetup {
-                    counts_per_rev: self.counts_per_rev,
-                    reversed: false,
-                    zero_turns: 0.0,
-                },
-                start: scene.start,
+        Driven::new(&self.setup(scene), self.drive)
+    }
+
+    /// The knob at the start of a scene.
+    pub fn setup(&self, scene: &Scene) -> Setup {
+        Setup {
+            device: scene.device,
+            motor: scene.motor,
+            hand: scene.hand,
+            winding: self.winding,
+            inverter: self.inverter,
+            sensing: CurrentSensing {
+                seed: scene.seed,
+                ..self.sensing
             },
-            self.drive,
-        )
+            supply: self.supply,
+            encoder: EncoderSetup {
+                counts_per_rev: self.counts_per_rev,
+                reversed: false,
+                zero_turns: 0.0,
+            },
+            start: scene.start,
+        }
     }
 }
 
