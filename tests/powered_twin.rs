@@ -10,7 +10,7 @@ use firmware::power::{Bridge, ODRIVE_V3_24V, Sensed};
 use firmware::settings::{self, BoardKind, NO_MOTOR};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
-use firmware::{Commands, Link, Moves, Records};
+use firmware::{Commands, Link, Measurements, Moves, Records};
 use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding};
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
@@ -44,10 +44,12 @@ impl<K: Keep> PoweredTwin<K> {
     /// Just started, with the counter at `counter` and what the store holds.
     #[must_use]
     pub fn start(counter: u32, git_hash: &'static str, mut store: K) -> Self {
-        // Two queues and a few words a twin, kept until the test ends.
+        // Three queues and a few words a twin, kept until the test ends.
         let link: &'static Link = Box::leak(Box::new(Link::new()));
         let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
         let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
+        let measurements: &'static mut Measurements = Box::leak(Box::new(Measurements::new()));
+        let (measurement_sender, measurement_receiver) = measurements.split();
         let (move_sender, move_receiver) = Box::leak(Box::new(Moves::new())).split();
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
@@ -67,7 +69,8 @@ impl<K: Keep> PoweredTwin<K> {
         );
         let power = start.settled.power.expect("a stage has settings");
         Self {
-            current: CurrentTick::new(ticker, power, COUNTER_BITS, counter),
+            current: CurrentTick::new(ticker, power, COUNTER_BITS, counter)
+                .telling(measurement_sender),
             desk: Desk::new(
                 identity,
                 &start,
@@ -76,7 +79,8 @@ impl<K: Keep> PoweredTwin<K> {
                 command_sender,
                 record_receiver,
                 move_receiver,
-            ),
+            )
+            .told(measurement_receiver),
             inbox: VecDeque::new(),
             outbox: Vec::new(),
             frames: Frames::new(),

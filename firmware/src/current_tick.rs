@@ -19,8 +19,10 @@
 //! depends on the motor; 32 with a voltage drive. What it makes of the torque, [`Power::delivery`] tells the plan.
 
 use control::torque::Measured;
-use protocol::Fault;
+use protocol::{ExcitationEnd, Fault};
 
+use crate::MeasurementSender;
+use crate::commission::{Run, Told};
 use crate::drive::{MOST_WINDOW, Power};
 use crate::power::{Bridge, Sensed};
 use crate::ticker::{StateCode, Ticker};
@@ -36,6 +38,11 @@ pub struct CurrentTick<'a> {
     torque_nm: f32,
     /// Found since the last haptic tick; the bridge is off from then on.
     fault: Option<Fault>,
+    /// A motor is being measured.
+    run: Option<Run>,
+    /// How that ended, until the desk has been told.
+    ended: Option<ExcitationEnd>,
+    measurements: Option<MeasurementSender<'a>>,
 }
 
 impl<'a> CurrentTick<'a> {
@@ -50,6 +57,18 @@ impl<'a> CurrentTick<'a> {
             motion: Motion::new(counter_bits, counter),
             torque_nm: 0.0,
             fault: None,
+            run: None,
+            ended: None,
+            measurements: None,
+        }
+    }
+
+    /// The same, able to tell what excitations bring.
+    #[must_use]
+    pub fn telling(self, measurements: MeasurementSender<'a>) -> Self {
+        Self {
+            measurements: Some(measurements),
+            ..self
         }
     }
 
@@ -67,7 +86,9 @@ impl<'a> CurrentTick<'a> {
         }
         if self.due_in <= 1 {
             let fault = self.fault.take();
-            let output = self.ticker.tick_with(&mut self.power, count, fault);
+            let output = self
+                .ticker
+                .tick_with(&mut self.power, &mut self.run, count, fault);
             self.torque_nm = output.torque_nm;
             self.due_in = self.power.every;
         } else {
@@ -86,6 +107,9 @@ impl<'a> CurrentTick<'a> {
     /// What the bridge is to do, as things stand.
     #[inline]
     fn bridge(&mut self, sensed: &Sensed, count: i32) -> Bridge {
+        if self.run.is_some() || self.ended.is_some() {
+            return self.excite(sensed, count);
+        }
         let counts = self.motion.counts_in(self.power.window);
         let speed_rad_s =
             counts.wrapping_sub(counts.signum()) as f32 * self.power.count_speed_rad_s;
@@ -109,6 +133,51 @@ impl<'a> CurrentTick<'a> {
             bus_v: sensed.bus_v,
         };
         Bridge::On(drive.tick(torque_nm, &measured))
+    }
+}
+
+impl CurrentTick<'_> {
+    /// A period of an excitation, and what there is to tell of it. The end is told in a period of its own, as soon as
+    /// there is room.
+    #[inline(never)]
+    fn excite(&mut self, sensed: &Sensed, count: i32) -> Bridge {
+        if let Some(end) = self.ended {
+            if self.told(Told::End(end)) {
+                self.ended = None;
+            }
+            return Bridge::Off;
+        }
+        let Some(run) = &mut self.run else {
+            return Bridge::Off;
+        };
+        let state = self.ticker.state();
+        if state != StateCode::Calibrating || self.fault.is_some() {
+            self.run = None;
+            self.ended = Some(match (state, self.fault) {
+                (StateCode::Disarmed, None) => ExcitationEnd::BrokenOff,
+                _ => ExcitationEnd::Fault,
+            });
+            return Bridge::Off;
+        }
+        let step = run.tick(sensed, count);
+        if step.end.is_some() {
+            self.run = None;
+            self.ended = step.end;
+            self.ticker.excited();
+        }
+        if let Some(sums) = step.sums {
+            // Where there is no room the host finds a window missing.
+            self.told(Told::Sums(sums));
+        }
+        step.bridge
+    }
+
+    /// Whether there was room to tell it, or nobody to be told.
+    fn told(&mut self, what: Told) -> bool {
+        match &mut self.measurements {
+            Some(measurements) => measurements.enqueue(what).is_ok(),
+            None => true,
+        }
     }
 }
 

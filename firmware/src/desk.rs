@@ -11,10 +11,12 @@ use protocol::{
     Stored, Subscription, Telemetry, ToDevice, VERSION, decode, encode,
 };
 
+use crate::commission::{self, Run, Told};
 use crate::settings::{self, BoardKind, DEFAULT_SETTINGS, HIGHEST, LOWEST, Settings, Start};
 use crate::store::{Keep, SaveError};
 use crate::ticker::{Command, Occasion, Record, StateCode};
-use crate::{CommandSender, Link, MoveReceiver, RecordReceiver};
+use crate::{CommandSender, Link, MeasurementReceiver, MoveReceiver, RecordReceiver};
+use heapless::spsc::Consumer;
 
 /// Who this is.
 #[derive(Debug, Clone, Copy)]
@@ -87,6 +89,7 @@ pub struct Desk<'a, K> {
     link: &'a Link,
     commands: CommandSender<'a>,
     records: RecordReceiver<'a>,
+    measurements: Option<MeasurementReceiver<'a>>,
     moves: MoveReceiver<'a>,
 }
 
@@ -121,6 +124,16 @@ impl<'a, K: Keep> Desk<'a, K> {
             commands,
             records,
             moves,
+            measurements: None,
+        }
+    }
+
+    /// The same, told what excitations bring.
+    #[must_use]
+    pub fn told(self, measurements: MeasurementReceiver<'a>) -> Self {
+        Self {
+            measurements: Some(measurements),
+            ..self
         }
     }
 
@@ -151,6 +164,15 @@ impl<'a, K: Keep> Desk<'a, K> {
                 break;
             };
             self.tell(&record, &mut write);
+        }
+        for _ in 0..RECORDS_AT_A_TIME {
+            let measured = self.measurements.as_mut().and_then(Consumer::dequeue);
+            let event = match measured {
+                Some(Told::Sums(sums)) => Event::Measured(sums),
+                Some(Told::End(end)) => Event::Calibrated { end },
+                None => break,
+            };
+            self.send_unasked(Message::Event(event), &mut write);
         }
         self.tell_moves(&mut write);
         let dropped = self.link.dropped.load(Relaxed);
@@ -281,7 +303,6 @@ impl<'a, K: Keep> Desk<'a, K> {
                 Err(refusal) => Message::Refused(refusal),
             },
             Request::LastFault => Message::Snapshot(self.snapshot),
-            Request::Calibrate(_) => Message::Refused(Refusal::NoPowerStage),
             Request::Push(_) if self.without_motor() => Message::Refused(Refusal::NoMotor),
             Request::Push(push) => match (self.pushed, self.push(push)) {
                 // Its answer was lost.
@@ -301,6 +322,23 @@ impl<'a, K: Keep> Desk<'a, K> {
                 }
                 (_, Err(refusal)) => Message::Refused(refusal),
             },
+            Request::Calibrate(excitation) => {
+                let run = match &self.identity.kind {
+                    BoardKind::Stage(facts) => Run::new(excitation, facts),
+                    _ => return send(sequence, Message::Refused(Refusal::NoPowerStage), write),
+                };
+                match run {
+                    Ok(run) => {
+                        let command = Command::Excite(run);
+                        return self.command(sequence, command, self.settings, false, write);
+                    }
+                    Err(_) => Message::Refused(Refusal::Excitation),
+                }
+            }
+            Request::PowerStage => Message::PowerStage(match &self.identity.kind {
+                BoardKind::Stage(facts) => Some(commission::power_stage(facts)),
+                _ => None,
+            }),
         };
         send(sequence, answer, write);
     }

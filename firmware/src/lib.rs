@@ -1,6 +1,7 @@
 //! The part of the firmware that knows no board: it runs natively too, and is tested there.
 //!
 //! - [`ticker`]: what the tick's interrupt does, and the state disarmed, armed, fault;
+//! - [`commission`]: measuring a motor, in the current tick;
 //! - [`desk`]: what answers the host, below the tick;
 //! - [`current_tick`]: on a board with a power stage, what the interrupt of every PWM period does, the tick in it;
 //! - [`drive`]: what drives the motor there;
@@ -16,6 +17,7 @@
 #![forbid(unsafe_code)]
 
 pub mod board;
+pub mod commission;
 pub mod current_tick;
 pub mod desk;
 pub mod drive;
@@ -33,6 +35,7 @@ use ticker::{Command, Record, StateCode};
 
 const COMMANDS: usize = 2;
 const RECORDS: usize = 64;
+const MEASUREMENTS: usize = 32;
 /// At 4 kHz and 115,200 baud a frame is on the line for 90 ticks.
 const MOVES: usize = 256;
 
@@ -50,6 +53,13 @@ pub type CommandSender<'a> = Producer<'a, Command, COMMANDS>;
 pub type CommandReceiver<'a> = Consumer<'a, Command, COMMANDS>;
 /// The tick's end of [`Records`].
 pub type RecordSender<'a> = Producer<'a, Record, RECORDS>;
+/// What an excitation has brought, on its way to the desk: so much as a slow line may be behind.
+pub type Measurements = Queue<commission::Told, MEASUREMENTS>;
+/// The current tick's end of [`Measurements`].
+pub type MeasurementSender<'a> = Producer<'a, commission::Told, MEASUREMENTS>;
+/// The desk's end of [`Measurements`].
+pub type MeasurementReceiver<'a> = Consumer<'a, commission::Told, MEASUREMENTS>;
+
 /// The desk's end of [`Records`].
 pub type RecordReceiver<'a> = Consumer<'a, Record, RECORDS>;
 /// The tick's end of [`Moves`].

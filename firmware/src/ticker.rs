@@ -14,6 +14,7 @@ use control::tick::{Controller, Reason, Tick};
 
 use protocol::{Fault, PushEnd};
 
+use crate::commission::Run;
 use crate::drive::Power;
 use crate::{CommandReceiver, Link, LinkStatus, MoveSender, RecordSender};
 
@@ -32,6 +33,8 @@ pub enum Command {
     Disarm,
     /// Leave the fault; refused without one.
     Clear,
+    /// Put a voltage on the motor; refused unless disarmed, and without a power stage.
+    Excite(Run),
     /// Play this from this tick on; refused unless disarmed. Checked: see [`crate::settings::push`].
     Push(Push),
 }
@@ -187,12 +190,18 @@ impl<'a> Ticker<'a> {
     /// One tick on a board with a power stage, which comes as often as `power` says to the bit; a new motor goes there
     /// while the bridge is off. A `fault` found since the last tick counts in every state.
     #[inline]
-    pub fn tick_with(&mut self, power: &mut Power, count: i32, fault: Option<Fault>) -> Output {
+    pub fn tick_with(
+        &mut self,
+        power: &mut Power,
+        run: &mut Option<Run>,
+        count: i32,
+        fault: Option<Fault>,
+    ) -> Output {
         self.begin();
         let elapsed_s = self.controller.plan().period_s();
         let mut period_s = None;
         if self.commands.ready() {
-            period_s = self.obey(Some(power));
+            period_s = self.obey(Some((power, run)));
         }
         let mut tick = self.controller.tick(count.cast_unsigned(), elapsed_s);
         let mut torque_nm = 0.0;
@@ -217,6 +226,14 @@ impl<'a> Ticker<'a> {
         }
     }
 
+    /// An excitation is over.
+    pub fn excited(&mut self) {
+        if self.status.state == StateCode::Calibrating {
+            self.status.state = StateCode::Disarmed;
+            self.link.set_status(self.status);
+        }
+    }
+
     /// The state.
     #[must_use]
     #[inline]
@@ -233,7 +250,7 @@ impl<'a> Ticker<'a> {
     /// Takes the next command.
     #[cold]
     #[inline(never)]
-    fn obey(&mut self, power: Option<&mut Power>) -> Option<f32> {
+    fn obey(&mut self, stage: Option<(&mut Power, &mut Option<Run>)>) -> Option<f32> {
         let command = self.commands.dequeue()?;
         let mut period_s = None;
         let done = match (command, self.status.state) {
@@ -241,7 +258,7 @@ impl<'a> Ticker<'a> {
             (Command::Configure(_), StateCode::Pushing) => false,
             (Command::Configure(settled), state) => {
                 let off = matches!(state, StateCode::Disarmed | StateCode::Fault);
-                if let (Some(power), Some(new), true) = (power, settled.power, off) {
+                if let (Some((power, _)), Some(new), true) = (stage, settled.power, off) {
                     *power = new;
                 }
                 let (old, new) = (self.controller.plan(), settled.plan);
@@ -268,7 +285,15 @@ impl<'a> Ticker<'a> {
                 self.status.state = StateCode::Armed;
                 true
             }
-            (Command::Disarm, StateCode::Armed) => {
+            (Command::Excite(new), StateCode::Disarmed) => match stage {
+                Some((_, run)) => {
+                    *run = Some(new);
+                    self.status.state = StateCode::Calibrating;
+                    true
+                }
+                None => false,
+            },
+            (Command::Disarm, StateCode::Armed | StateCode::Calibrating) => {
                 self.status.state = StateCode::Disarmed;
                 true
             }
@@ -287,9 +312,9 @@ impl<'a> Ticker<'a> {
                 self.status.state = StateCode::Disarmed;
                 true
             }
-            (Command::Arm, StateCode::Fault | StateCode::Calibrating | StateCode::Pushing)
-            | (Command::Disarm, StateCode::Fault | StateCode::Calibrating)
-            | (Command::Clear | Command::Push(_), _) => false,
+            (Command::Disarm, StateCode::Fault)
+            | (Command::Arm, StateCode::Fault | StateCode::Calibrating | StateCode::Pushing)
+            | (Command::Clear | Command::Push(_) | Command::Excite(_), _) => false,
         };
         let number = self.link.tick.load(Relaxed);
         self.link.taken_at.store(number, Relaxed);

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Result;
 use protocol::{
-    FRAME_MAX, Parameters, Refusal, Request, Snapshot, State, Status, Subscription, ToDevice,
-    VERSION, encode,
+    FRAME_MAX, Parameters, PowerStage, Refusal, Request, Snapshot, State, Status, Subscription,
+    ToDevice, VERSION, encode,
 };
 
 pub use error::DeviceError;
@@ -142,6 +142,13 @@ impl Device {
                 let Status { tick, .. } = self.status()?;
                 Ok(Outcome::Done { tick })
             }
+            // The first was taken, and is under way.
+            Answer::Refused(Refusal::State(State::Calibrating))
+                if repeated && matches!(request, Request::Calibrate(_)) =>
+            {
+                let Status { tick, .. } = self.status()?;
+                Ok(Outcome::Done { tick })
+            }
             Answer::Refused(refusal) => Ok(Outcome::Refused(refusal)),
             _ => Err(self.unexpected(request)),
         }
@@ -165,6 +172,20 @@ impl Device {
             Answer::Done { .. } => Ok(()),
             _ => Err(self.unexpected(nothing)),
         }
+    }
+
+    /// The power stage, if the board has one.
+    pub fn power_stage(&mut self) -> Result<Option<PowerStage>> {
+        match self.request(Request::PowerStage)?.answer {
+            Answer::PowerStage(stage) => Ok(stage),
+            _ => Err(self.unexpected(Request::PowerStage)),
+        }
+    }
+
+    /// Turns the bridge off, also after Ctrl-C.
+    pub fn break_off(&mut self) -> Result<()> {
+        self.exchange(Request::Disarm, HUSH_WITHIN, CtrlC::Waits)?;
+        Ok(())
     }
 
     /// The next message that was sent unasked, with its number, if one comes within `patience`.
@@ -308,6 +329,7 @@ fn asked(request: Request) -> &'static str {
         Request::SetMotor(_) => "set motor",
         Request::LastFault => "last fault",
         Request::Calibrate(_) => "calibrate",
+        Request::PowerStage => "power stage",
         Request::Push(_) => "push",
     }
 }

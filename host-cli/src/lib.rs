@@ -4,6 +4,7 @@
 //! standard error. Exit status: 0 success, 1 failure, 2 bad usage, 130 stopped by Ctrl-C.
 #![forbid(unsafe_code)]
 
+pub mod calibrate;
 mod charts;
 mod commands;
 mod device;
@@ -73,6 +74,7 @@ enum Command {
     Monitor(commands::monitor::Args),
     Flash(commands::flash::Args),
     Identify(commands::identify::Args),
+    Calibrate(commands::calibrate::Args),
 }
 
 /// What the program `knob` does with its arguments: its exit status.
@@ -105,6 +107,7 @@ pub fn run() -> ExitCode {
         Command::Monitor(args) => commands::monitor::run(&args),
         Command::Flash(args) => commands::flash::run(&args),
         Command::Identify(args) => commands::identify::run(&args),
+        Command::Calibrate(args) => commands::calibrate::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -171,6 +171,9 @@ pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> S
             short(highest)
         ),
         Refusal::Push => "this push is out of range, or this device cannot push".into(),
+        Refusal::Excitation => {
+            "this excitation is out of range, or this device cannot measure".into()
+        }
         Refusal::NotKept => "the device's flash could not be erased or written; \
              what was saved before is kept"
             .into(),

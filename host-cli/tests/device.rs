@@ -13,7 +13,9 @@ use std::time::Duration;
 
 use firmware::settings::{DEFAULTS, Settings};
 use firmware::store::{Keep, Loaded, SaveError};
+use native::powered::{self, board_with_motor};
 use native::{Fate, Port, board, board_that_keeps, board_with};
+use plant_sim::electrical::Wiring;
 use protocol::{
     FRAME_MAX, Frames, FromDevice, Hello, Message, Refusal, Stored, ToDevice, decode, encode,
 };
@@ -959,4 +961,84 @@ fn every_command_has_help_with_an_example() {
         assert!(text.contains("--json"), "{command}");
         assert_eq!(text.contains("KNOB_PORT"), command != "ports", "{command}");
     }
+}
+
+#[test]
+fn calibrate_finds_the_motor_and_sets_it() {
+    let port = board_with_motor(Wiring::default());
+    let args = [
+        "calibrate",
+        "--drive",
+        "current",
+        "--current-max",
+        "5",
+        "--pole-pairs",
+        "7",
+    ];
+    let found = ask(&port, &[&args[..], &["--apply"]].concat());
+    let holds = |key: &str, truth: f64| {
+        let end = |end: &str| found[key][end].as_f64().unwrap();
+        assert!(
+            end("low") <= truth && truth <= end("high"),
+            "{key}: {}",
+            found[key]
+        );
+    };
+    holds("resistance_ohm", powered::MOTOR.resistance_ohm);
+    holds("d_inductance_h", powered::MOTOR.d_inductance_h);
+    holds("q_inductance_h", powered::MOTOR.q_inductance_h);
+    holds(
+        "torque_constant_nm_a",
+        powered::MOTOR.torque_constant_nm_a(),
+    );
+    holds("zero_turns", powered::ZERO_TURNS);
+    assert_eq!(found["pole_pairs"], 7);
+    assert_eq!(found["reversed"], true);
+    assert!(found["applied_at_tick"].is_u64());
+    // With a motor it arms.
+    assert_eq!(ask(&port, &["arm"])["state"], "armed");
+    refused(&port, &args, 1, &["armed"]);
+}
+
+#[test]
+fn calibrate_refuses_with_the_reason() {
+    let open = Wiring {
+        open: Some(1),
+        ..Wiring::default()
+    };
+    let port = board_with_motor(open);
+    let args = ["calibrate", "--drive", "current", "--current-max", "5"];
+    refused(&port, &args, 1, &["phase B", "unplugged"]);
+    assert_eq!(ask(&port, &["info"])["state"], "disarmed");
+    let (port, _) = board();
+    refused(&port, &args, 1, &["native", "drives no motor itself"]);
+    let brushed = [
+        "calibrate",
+        "--drive",
+        "brushed",
+        "--current-max",
+        "5",
+        "--pole-pairs",
+        "7",
+    ];
+    refused(&port, &brushed, 2, &["--pole-pairs"]);
+}
+
+#[test]
+fn ctrl_c_ends_a_calibration_with_the_bridge_off() {
+    let port = board_with_motor(Wiring::default());
+    let args = ["calibrate", "--drive", "current", "--current-max", "5"];
+    let child = knob(&on(&port, &args)).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(1000));
+    let pid = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
+    let output = end(child);
+    assert_eq!(
+        output.status.code(),
+        Some(130),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    assert!(output.stdout.is_empty());
+    assert_eq!(ask(&port, &["info"])["state"], "disarmed");
 }

@@ -8,15 +8,17 @@
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
+mod calibration;
 mod frame;
 mod message;
 mod parameters;
 
+pub use calibration::{Excitation, ExcitationEnd, PowerStage, Sums};
 pub use frame::{FRAME_MAX, FrameError, Frames, decode, encode};
 pub use message::{
-    Calibrate, CalibrationEnd, ClampReason, Event, Fault, Fields, FromDevice, Hello, MOVES_MAX,
-    Message, Moves, Push, PushEnd, Refusal, Request, ResetReason, Snapshot, Stage, State, Status,
-    Stored, Subscription, Telemetry, ToDevice,
+    ClampReason, Event, Fault, Fields, FromDevice, Hello, MOVES_MAX, Message, Moves, Push, PushEnd,
+    Refusal, Request, ResetReason, Snapshot, State, Status, Stored, Subscription, Telemetry,
+    ToDevice,
 };
 pub use parameters::{
     Changes, Drive, Interval, Law, Motor, MotorChanges, MotorName, Name, Parameters, Shape,

@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 
-use crate::parameters::{Changes, Drive, Law, Motor, MotorChanges, MotorName, Name, Parameters};
+use crate::calibration::{Excitation, ExcitationEnd, PowerStage, Sums};
+use crate::parameters::{Changes, Law, Motor, MotorChanges, MotorName, Name, Parameters};
 
 /// A frame from the host.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -46,23 +47,16 @@ pub enum Request {
     SetMotor(MotorChanges),
     /// Answer: [`Message::Snapshot`], of the last fault since the start.
     LastFault,
-    /// Measure the motor. Only while disarmed, and only on a board with a power stage. Answer: done once it has
-    /// begun; then come [`Event::Calibrating`] and [`Event::Measured`], and in the end [`Event::Calibrated`].
-    /// [`Request::Disarm`] breaks it off.
-    Calibrate(Calibrate),
+    /// Put a voltage on the motor and tell what comes of it. Only while disarmed, and only on a board with a power
+    /// stage. Answer: done once it has begun; then comes [`Event::Measured`] for each window, and in the end
+    /// [`Event::Calibrated`]. [`Request::Disarm`] breaks it off.
+    Calibrate(Excitation),
     /// Give a torque without a spring and tell how the knob moves. Only while disarmed. Answer: done once it has
     /// begun; then come [`Message::Moves`]. [`Request::Disarm`] breaks it off. Repeated at once under the same sequence
     /// number it is answered again, but not played again.
     Push(Push),
-}
-
-/// What to measure, and how far it may go.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Calibrate {
-    /// The kind of motor; of the two for three phases, either.
-    pub drive: Drive,
-    /// The largest current, A.
-    pub current_max_a: f32,
+    /// Answer: [`Message::PowerStage`].
+    PowerStage,
 }
 
 /// A torque without a spring: it rises evenly from `from_nm` to `to_nm`, is held, and ends for good as soon as one of
@@ -169,6 +163,8 @@ pub enum Message<'a> {
     /// Unasked: how a push goes on.
     #[serde(borrow)]
     Moves(Moves<'a>),
+    /// Answer: the board's power stage, if it has one.
+    PowerStage(Option<PowerStage>),
 }
 
 /// The most bytes of [`Moves::moves`] that fit a frame.
@@ -440,6 +436,8 @@ pub enum Refusal {
     },
     /// A push is out of range, or not a number.
     Push,
+    /// An excitation is out of range, or not a number.
+    Excitation,
 }
 
 /// One tick, as subscribed; what was not asked for is None.
@@ -516,58 +514,11 @@ pub enum Event {
         /// How many since the start.
         total: u32,
     },
-    /// A calibration goes on.
-    Calibrating {
-        /// What is being measured.
-        stage: Stage,
-        /// The share of it that is done, 0 to 1.
-        done: f32,
-    },
-    /// A calibration has measured something.
-    Measured {
-        /// In which stage.
-        stage: Stage,
-        /// Which of its results, from 0.
-        index: u16,
-        /// The result; what each is, the stage says.
-        values: [f32; 4],
-    },
-    /// A calibration is over; the bridge is off.
+    /// A window of an excitation is over.
+    Measured(Sums),
+    /// An excitation is over; the bridge is off.
     Calibrated {
         /// How it ended.
-        end: CalibrationEnd,
-    },
-}
-
-/// What a calibration measures, in this order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Stage {
-    /// Codes without current.
-    Offsets,
-    /// Resistance of the phases.
-    Resistance,
-    /// Inductance along and across the rotor.
-    Inductance,
-    /// Pole pairs, direction and zero of the encoder.
-    Turn,
-    /// Back-EMF.
-    BackEmf,
-}
-
-/// How a calibration ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum CalibrationEnd {
-    /// All was measured.
-    Done,
-    /// It was told to end.
-    BrokenOff,
-    /// A fault ended it.
-    Fault,
-    /// This stage could not go on.
-    Failed {
-        /// Which.
-        stage: Stage,
-        /// Why: a number that the page of the wire explains.
-        reason: u8,
+        end: ExcitationEnd,
     },
 }

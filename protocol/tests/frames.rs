@@ -2,10 +2,11 @@
 
 use proptest::prelude::*;
 use protocol::{
-    Calibrate, CalibrationEnd, Changes, ClampReason, Drive, Event, FRAME_MAX, Fault, Fields,
+    Changes, ClampReason, Drive, Event, Excitation, ExcitationEnd, FRAME_MAX, Fault, Fields,
     FrameError, Frames, FromDevice, Hello, Interval, Law, MOVES_MAX, Message, Motor, MotorChanges,
-    Moves, Name, Parameters, Push, PushEnd, Refusal, Request, ResetReason, Shape, Snapshot, Stage,
-    State, Status, Stored, Subscription, Telemetry, ToDevice, VERSION, decode, encode,
+    Moves, Name, Parameters, PowerStage, Push, PushEnd, Refusal, Request, ResetReason, Shape,
+    Snapshot, State, Status, Stored, Subscription, Sums, Telemetry, ToDevice, VERSION, decode,
+    encode,
 };
 
 /// The page that describes the wire; its golden frames are those tested here.
@@ -56,6 +57,48 @@ const MOTOR: Motor = Motor {
     offset_c_codes: 2047.0,
 };
 
+const EXCITATION: Excitation = Excitation {
+    angle: 0x4000_0000,
+    turn: -65_536,
+    back: true,
+    steady_v: 0.5,
+    steady_a: [2.0, -0.5],
+    along_v: 0.25,
+    across_v: 0.0,
+    quarter: 1,
+    rise: 480,
+    settle: 2400,
+    window: 512,
+    windows: 16,
+    zero_codes: [2050.5, 2047.0],
+    current_max_a: 5.0,
+    way_max: 1000,
+};
+
+const SUMS: Sums = Sums {
+    window: 3,
+    periods: [128; 4],
+    b_codes: [262_144, 262_145, 262_146, 262_147],
+    c_codes: [262_000, 262_001, 262_002, 262_003],
+    counts: -51_200,
+    count: -101,
+    angle: 0x4000_0000,
+    bus_mv: 12_288_000,
+};
+
+const POWER_STAGE: PowerStage = PowerStage {
+    pwm_period_s: 1.0 / 24e3,
+    current_step_a: 0.020_14,
+    current_zero_code: 2048.0,
+    current_zero_spread: 397.0,
+    current_linear_a: 33.75,
+    reach: 0.484,
+    dead_duty: 0.005_35,
+    dead_edge_a: 0.2,
+    bus_least_v: 8.0,
+    bus_most_v: 25.68,
+};
+
 fn requests() -> Vec<(&'static str, Request)> {
     vec![
         ("hello", Request::Hello { version: VERSION }),
@@ -101,13 +144,7 @@ fn requests() -> Vec<(&'static str, Request)> {
             }),
         ),
         ("last fault", Request::LastFault),
-        (
-            "calibrate",
-            Request::Calibrate(Calibrate {
-                drive: Drive::Brushed,
-                current_max_a: 2.0,
-            }),
-        ),
+        ("calibrate", Request::Calibrate(EXCITATION)),
         (
             "push",
             Request::Push(Push {
@@ -122,6 +159,7 @@ fn requests() -> Vec<(&'static str, Request)> {
                 guard_counts: 8192,
             }),
         ),
+        ("power stage", Request::PowerStage),
     ]
 }
 
@@ -187,21 +225,11 @@ fn messages() -> Vec<(&'static str, Message<'static>)> {
                 fault: Fault::Overrun,
             }),
         ),
-        (
-            "event, measured",
-            Message::Event(Event::Measured {
-                stage: Stage::Resistance,
-                index: 2,
-                values: [1.0, 0.5, 0.25, 0.0],
-            }),
-        ),
+        ("event, measured", Message::Event(Event::Measured(SUMS))),
         (
             "event, calibrated",
             Message::Event(Event::Calibrated {
-                end: CalibrationEnd::Failed {
-                    stage: Stage::Turn,
-                    reason: 3,
-                },
+                end: ExcitationEnd::Current,
             }),
         ),
         ("motor, brushed", Message::Motor(MOTOR)),
@@ -230,6 +258,7 @@ fn messages() -> Vec<(&'static str, Message<'static>)> {
                 moves: &[0, 0, 1, 0, 0xFF, 0xFF],
             }),
         ),
+        ("power stage, 24 V", Message::PowerStage(Some(POWER_STAGE))),
         (
             "moves, the last",
             Message::Moves(Moves {
@@ -406,6 +435,24 @@ fn the_longest_of_every_message_fits_a_frame() {
         moves: &[0xFF; MOVES_MAX],
     });
     assert!(from_device(moves).len() <= FRAME_MAX);
+    let excitation = Request::Calibrate(Excitation {
+        turn: i32::MIN,
+        angle: u32::MAX,
+        way_max: u32::MAX,
+        ..EXCITATION
+    });
+    assert!(to_device(excitation).len() <= FRAME_MAX);
+    let sums = Message::Event(Event::Measured(Sums {
+        window: u16::MAX,
+        periods: [u16::MAX; 4],
+        b_codes: [u32::MAX; 4],
+        c_codes: [u32::MAX; 4],
+        counts: i64::MIN,
+        count: i32::MIN,
+        angle: u32::MAX,
+        bus_mv: u32::MAX,
+    }));
+    assert!(from_device(sums).len() <= FRAME_MAX);
 }
 
 proptest! {

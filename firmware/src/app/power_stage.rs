@@ -9,7 +9,7 @@ mod app {
     use firmware::settings::{self, BoardKind};
     use firmware::store::Keep;
     use firmware::ticker::Ticker;
-    use firmware::{Commands, Link, Moves, Records};
+    use firmware::{Commands, Link, Measurements, Moves, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
 
@@ -43,6 +43,7 @@ mod app {
         byte_queue: Bytes = Queue::new(),
         commands: Commands = Queue::new(),
         records: Records = Queue::new(),
+        measurements: Measurements = Queue::new(),
         moves: Moves = Queue::new(),
         link: Link = Link::new(),
     ])]
@@ -59,6 +60,7 @@ mod app {
         let (received, bytes) = cx.local.byte_queue.split();
         let (command_sender, command_receiver) = cx.local.commands.split();
         let (record_sender, record_receiver) = cx.local.records.split();
+        let (measurement_sender, measurement_receiver) = cx.local.measurements.split();
         let (move_sender, move_receiver) = cx.local.moves.split();
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
@@ -83,7 +85,8 @@ mod app {
             record_sender,
             move_sender,
         );
-        let current = CurrentTick::new(ticker, power, Stage::COUNTER_BITS, counter);
+        let current = CurrentTick::new(ticker, power, Stage::COUNTER_BITS, counter)
+            .telling(measurement_sender);
         let desk = Desk::new(
             identity,
             &start,
@@ -92,7 +95,8 @@ mod app {
             command_sender,
             record_receiver,
             move_receiver,
-        );
+        )
+        .told(measurement_receiver);
         defmt::info!(
             "knob {=str} ({=str}) on {=str}",
             identity.firmware,

@@ -220,9 +220,7 @@ impl Log {
                 }
                 // Of a push or a calibration that another host began.
                 Unasked::Moves(_)
-                | Unasked::Event(
-                    Event::Calibrating { .. } | Event::Measured { .. } | Event::Calibrated { .. },
-                ) => {}
+                | Unasked::Event(Event::Measured(_) | Event::Calibrated { .. }) => {}
             }
         }
     }

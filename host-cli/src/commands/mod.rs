@@ -1,6 +1,7 @@
 //! One module per subcommand: its flags, and what it does.
 
 pub mod ablation;
+pub mod calibrate;
 pub mod campaign;
 pub mod chart;
 pub mod demo;

@@ -204,12 +204,8 @@ fn take(view: &mut View, number: u16, message: &Unasked) {
         Unasked::Event(Event::Dropped { total }) => view.dropped = total,
         // Not subscribed to, or of a push or a calibration that another host began.
         Unasked::Moves(_)
-        | Unasked::Event(
-            Event::Clamp { .. }
-            | Event::Calibrating { .. }
-            | Event::Measured { .. }
-            | Event::Calibrated { .. },
-        ) => {}
+        | Unasked::Event(Event::Clamp { .. } | Event::Measured { .. } | Event::Calibrated { .. }) =>
+            {}
     }
 }
 

@@ -3,8 +3,8 @@ use std::io::{self, ErrorKind};
 use std::time::{Duration, Instant};
 
 use protocol::{
-    Event, Frames, FromDevice, Message, Motor, Moves, Parameters, PushEnd, Refusal, Snapshot,
-    Status, Telemetry, decode,
+    Event, Frames, FromDevice, Message, Motor, Moves, Parameters, PowerStage, PushEnd, Refusal,
+    Snapshot, Status, Telemetry, decode,
 };
 use serialport::SerialPort;
 
@@ -38,6 +38,7 @@ pub enum Answer {
     Status(Status),
     Motor(Motor),
     Snapshot(Option<Snapshot>),
+    PowerStage(Option<PowerStage>),
 }
 
 /// What a device says unasked.
@@ -100,6 +101,7 @@ impl From<Message<'_>> for Said {
             Message::Event(event) => Self::Unasked(Unasked::Event(event)),
             Message::Motor(motor) => Self::Answer(Answer::Motor(motor)),
             Message::Snapshot(snapshot) => Self::Answer(Answer::Snapshot(snapshot)),
+            Message::PowerStage(stage) => Self::Answer(Answer::PowerStage(stage)),
             Message::Moves(moves) => Self::Unasked(Unasked::Moves(moves.into())),
         }
     }

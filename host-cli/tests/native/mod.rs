@@ -1,6 +1,8 @@
 //! A device without a board or an emulator: the firmware's ticker and desk in a thread,
 //! behind a pseudo-terminal.
 
+pub mod powered;
+
 use std::collections::VecDeque;
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
