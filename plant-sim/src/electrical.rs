@@ -13,12 +13,29 @@
 //! size in the currents. Their mean torque is Simpson's over pieces of at most 1/32 of the fastest
 //! time constant: an error below 1e-6 of the torque's change within the period.
 //!
+//! # A phase that is open
+//! With phase X disconnected, i flows from Y to Z, the phases after it. δ is the angle from the rotor's d axis
+//! to their common axis, square to X's:
+//!
+//! λ' = u_Y − u_Z − 2R i,  λ = 2(L_d cos² δ + L_q sin² δ) i + √3 ψ cos δ,  i_d = 2/√3 i cos δ,  i_q = 2/√3 i sin δ,
+//!
+//! by classical Runge–Kutta on the same pieces: an error below 1e-8 of λ. A phase that is
+//! cut off while it carries current leaves λ as it is; an arc takes the rest.
+//!
+//! # All switches off
+//! Current goes on through the diodes: a phase whose current flows out of the bridge is at 0 V, one whose current flows
+//! into it at the bus voltage. Where a phase's current ends, which is found to rounding, it stays 0 until the bridge
+//! switches again, and the other two go on as above until they end too.
+//!
 //! What a real inverter adds is opt-in, each by a number that is 0 where it is not wanted: see
 //! [`Inverter`], [`CurrentSensing`], [`Supply`]. Cogging is the [`motor`](crate::motor)'s.
 //!
 //! # Assumed
-//! The inverter is its average over the period: no switching ripple, switches without
-//! resistance. Iron does not saturate and the back-EMF is a sine.
+//! The inverter is its average over the period: no switching ripple, switches and diodes without
+//! resistance or forward voltage. Iron does not saturate and the back-EMF is a sine. With all switches
+//! off, the back-EMF does not make a phase conduct again: true while between two phases it is less than the bus.
+
+mod windings;
 
 use std::f64::consts::TAU;
 
@@ -28,6 +45,7 @@ use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 
 use crate::knob::KnobError;
+use windings::{Carrying, Done, Run};
 
 /// What the bridge drives. The electrical angle of three phases is p times the shaft's.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,7 +69,7 @@ pub struct Inverter {
     /// Below this current the loss is in proportion to it, A, as ripple and the switches' capacitance
     /// have it; 0: the whole loss from any current on.
     pub dead_time_edge_a: f64,
-    /// Duties act one period later.
+    /// What the bridge is told acts one period later.
     pub late: bool,
 }
 
@@ -111,6 +129,51 @@ impl Supply {
     }
 }
 
+/// How the bridge's phases A, B, C are connected to the motor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wiring {
+    /// The motor's terminal, 0 to 2 for A to C, at each phase of the bridge: a permutation. A brushed motor
+    /// has its ends at B and C; with `[1, 2, 0]` it is between the bridge's A and B.
+    pub terminals: [usize; 3],
+    /// The phase of the bridge that is not connected.
+    pub open: Option<usize>,
+}
+
+impl Default for Wiring {
+    /// As it should be.
+    fn default() -> Self {
+        Self {
+            terminals: [0, 1, 2],
+            open: None,
+        }
+    }
+}
+
+impl Wiring {
+    fn check(&self) -> Result<(), KnobError> {
+        let mut terminals = self.terminals;
+        terminals.sort_unstable();
+        if terminals != [0, 1, 2] || self.open.is_some_and(|phase| phase > 2) {
+            return Err(KnobError::Wiring(*self));
+        }
+        Ok(())
+    }
+
+    /// From the order of the motor's terminals to that of the bridge's phases.
+    fn at_bridge(&self, of_terminals: [f64; 3]) -> [f64; 3] {
+        self.terminals.map(|terminal| of_terminals[terminal])
+    }
+
+    /// And back.
+    fn at_motor(&self, of_phases: [f64; 3]) -> [f64; 3] {
+        let mut of_terminals = [0.0; 3];
+        for (terminal, value) in self.terminals.into_iter().zip(of_phases) {
+            of_terminals[terminal] = value;
+        }
+        of_terminals
+    }
+}
+
 /// What one PWM period did.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Period {
@@ -133,7 +196,7 @@ pub struct Period {
 ///     Supply::stiff(10.0),
 /// )?;
 /// // 4 V for 2 L/R: 2 A · (1 − e⁻²).
-/// windings.period([0.0, 0.7, 0.3], 0.0, 0.0);
+/// windings.period(Some([0.0, 0.7, 0.3]), 0.0, 0.0);
 /// assert!((windings.torque_nm() - 0.1 * (1.0 - (-2.0_f64).exp())).abs() < 1e-15);
 /// # Ok::<(), plant_sim::knob::KnobError>(())
 /// ```
@@ -143,28 +206,22 @@ pub struct Electrical {
     inverter: Inverter,
     sensing: CurrentSensing,
     supply: Supply,
+    wiring: Wiring,
+    carrying: Carrying,
     /// i_d, i_q; or the brushed motor's current and 0. A.
     currents: [f64; 2],
     bus_v: f64,
-    /// On their way.
-    waiting: [f64; 3],
+    /// Duties on their way; none: all switches off.
+    waiting: Option<[f64; 3]>,
     random: Pcg64,
 }
 
 /// The most time constants R/L in a period: far beyond any motor.
 const FASTEST: f64 = 100.0;
 
-/// Pieces per unit of the fastest rate.
-const PIECES: f64 = 32.0;
-
-/// Terms of the exponential's series: 8⁻¹⁴/14! is below 1e-23.
-const TERMS: u32 = 14;
-
-/// i_d, i_q, u_d, u_q and 1.
-type Vector = [f64; 5];
-
 impl Electrical {
-    /// Without current, the bus at its source's voltage, duties of 0 on their way.
+    /// Without current, the bus at its source's voltage, all switches off until the first duties act, wired as it
+    /// should be.
     ///
     /// # Errors
     /// Refuses what is not finite or has the wrong sign, a supply with a resistance and no
@@ -230,12 +287,14 @@ impl Electrical {
             inverter,
             sensing,
             supply,
+            wiring: Wiring::default(),
+            carrying: Carrying::None,
             currents: [0.0; 2],
             bus_v: supply.source_v,
-            waiting: [0.0; 3],
+            waiting: None,
             random: Pcg64::seed_from_u64(sensing.seed),
         };
-        let value = electrical.rate(0.0) * inverter.pwm_period_s;
+        let value = winding.rate(0.0) * inverter.pwm_period_s;
         if value > FASTEST {
             return Err(KnobError::Above {
                 name: "resistance / inductance × PWM period",
@@ -256,7 +315,7 @@ impl Electrical {
     /// The torque at this moment, Nm.
     #[must_use]
     pub fn torque_nm(&self) -> f64 {
-        self.torque_of(self.currents)
+        self.winding.torque_nm(self.currents)
     }
 
     /// i_d and i_q, or a brushed motor's current and 0, A.
@@ -265,17 +324,33 @@ impl Electrical {
         self.currents
     }
 
-    /// The currents of A, B, C with the shaft at an angle (rad), A.
+    /// Wires the motor otherwise from now on.
+    ///
+    /// # Errors
+    /// Refuses what is not a permutation, or a phase beyond C.
+    pub fn wire(&mut self, wiring: Wiring) -> Result<(), KnobError> {
+        wiring.check()?;
+        self.wiring = wiring;
+        self.carrying = match (self.carrying, self.connected()) {
+            (Carrying::All, connected) => connected,
+            (Carrying::AllBut(phase), Carrying::AllBut(open)) if phase != open => Carrying::None,
+            (carrying, _) => carrying,
+        };
+        self.drop_what_is_not_carried();
+        Ok(())
+    }
+
+    /// All switches off at once, also for what is on its way.
+    pub fn cut(&mut self) {
+        self.waiting = None;
+    }
+
+    /// The currents of A, B, C of the bridge with the shaft at an angle (rad), A.
     #[must_use]
     pub fn phase_currents(&self, angle_rad: f64) -> [f64; 3] {
-        let [d, q] = self.currents;
-        match self.winding {
-            Winding::ThreePhase(motor) => {
-                let (sine, cosine) = electrical_angle(&motor, angle_rad).sin_cos();
-                phases(d * cosine - q * sine, d * sine + q * cosine)
-            }
-            Winding::Brushed(_) => [0.0, d, -d],
-        }
+        let angle = self.winding.electrical(angle_rad);
+        let terminals = self.winding.phases(self.carrying, self.currents, angle);
+        self.wiring.at_bridge(terminals)
     }
 
     /// The currents of B and C as measured with the shaft at an angle (rad), A.
@@ -299,52 +374,88 @@ impl Electrical {
         measured
     }
 
-    /// One period under duties of A, B, C, the shaft at `angle_rad` at its start and at a constant speed
-    /// (rad/s).
-    pub fn period(&mut self, duties: [f64; 3], angle_rad: f64, velocity_rad_s: f64) -> Period {
-        let duties = if self.inverter.late {
-            std::mem::replace(&mut self.waiting, duties)
+    /// One period under duties of A, B, C, or with all switches off, the shaft at `angle_rad` at its start and at
+    /// a constant speed (rad/s).
+    pub fn period(
+        &mut self,
+        bridge: Option<[f64; 3]>,
+        angle_rad: f64,
+        velocity_rad_s: f64,
+    ) -> Period {
+        let bridge = if self.inverter.late {
+            std::mem::replace(&mut self.waiting, bridge)
         } else {
-            duties
-        };
-        let [a, b, c] = self.given(duties, self.phase_currents(angle_rad));
-        let (matrix, voltage) = match self.winding {
-            Winding::ThreePhase(motor) => {
-                let (alpha, beta) = (a - (a + b + c) / 3.0, (b - c) / 3.0_f64.sqrt());
-                let (sine, cosine) = electrical_angle(&motor, angle_rad).sin_cos();
-                let voltage = [alpha * cosine + beta * sine, beta * cosine - alpha * sine];
-                (three_phase_matrix(&motor, velocity_rad_s), voltage)
-            }
-            Winding::Brushed(motor) => (brushed_matrix(&motor, velocity_rad_s), [b - c, 0.0]),
+            bridge
         };
         let period_s = self.inverter.pwm_period_s;
-        let pairs = (0.5 * PIECES * self.rate(velocity_rad_s) * period_s)
-            .ceil()
-            .max(1.0);
-        let piece_s = 0.5 * period_s / pairs;
-        let mut z: Vector = [
-            self.currents[0],
-            self.currents[1],
-            voltage[0],
-            voltage[1],
-            1.0,
-        ];
-        let (mut torque, mut power) = (0.0, 0.0);
-        for _ in 0..pairs as u64 {
-            let middle = exponential_times(&matrix, piece_s, &z);
-            let end = exponential_times(&matrix, piece_s, &middle);
-            for (weight, z) in [(1.0, &z), (4.0, &middle), (1.0, &end)] {
-                torque += weight / 6.0 * self.torque_of([z[0], z[1]]);
-                power += weight / 6.0 * self.power_of(z);
+        let mut done = Done::default();
+        match bridge {
+            Some(duties) => {
+                let volts = self.given(duties, self.phase_currents(angle_rad));
+                self.carrying = self.connected();
+                self.drop_what_is_not_carried();
+                if self.carrying != Carrying::None {
+                    let volts = self.wiring.at_motor(volts);
+                    let run = self.run(volts, angle_rad, velocity_rad_s);
+                    self.currents = run.through(period_s, &mut done);
+                }
             }
-            z = end;
+            None => self.coast(angle_rad, velocity_rad_s, &mut done),
         }
-        self.currents = [z[0], z[1]];
-        let drawn_j = power / pairs * period_s;
-        self.feed(drawn_j);
+        self.feed(done.drawn_j);
         Period {
-            torque_nm: torque / pairs,
-            drawn_j,
+            torque_nm: done.torque_nm_s / period_s,
+            drawn_j: done.drawn_j,
+        }
+    }
+
+    /// A period with all switches off.
+    fn coast(&mut self, mut angle_rad: f64, velocity_rad_s: f64, done: &mut Done) {
+        let mut left_s = self.inverter.pwm_period_s;
+        while left_s > 0.0 && self.carrying != Carrying::None {
+            let angle = self.winding.electrical(angle_rad);
+            let currents = self.winding.phases(self.carrying, self.currents, angle);
+            let volts = currents.map(|current| if current < 0.0 { self.bus_v } else { 0.0 });
+            let signs = currents.map(f64::signum);
+            let run = self.run(volts, angle_rad, velocity_rad_s);
+            let (took_s, currents, ended) = run.until_one_ends(signs, left_s, done);
+            self.currents = currents;
+            left_s -= took_s;
+            angle_rad += velocity_rad_s * took_s;
+            if let Some(phase) = ended {
+                self.carrying = match (self.carrying, self.winding) {
+                    (Carrying::All, Winding::ThreePhase(_)) => Carrying::AllBut(phase),
+                    _ => Carrying::None,
+                };
+                self.drop_what_is_not_carried();
+            }
+        }
+    }
+
+    fn run(&self, volts: [f64; 3], angle_rad: f64, velocity_rad_s: f64) -> Run<'_> {
+        Run::new(
+            &self.winding,
+            self.carrying,
+            self.currents,
+            volts,
+            angle_rad,
+            velocity_rad_s,
+        )
+    }
+
+    /// Which terminals may carry current while the bridge switches.
+    fn connected(&self) -> Carrying {
+        let open = self.wiring.open.map(|phase| self.wiring.terminals[phase]);
+        match (open, self.winding) {
+            (None, _) | (Some(0), Winding::Brushed(_)) => Carrying::All,
+            (Some(open), Winding::ThreePhase(_)) => Carrying::AllBut(open),
+            (Some(_), Winding::Brushed(_)) => Carrying::None,
+        }
+    }
+
+    fn drop_what_is_not_carried(&mut self) {
+        if self.carrying == Carrying::None {
+            self.currents = [0.0; 2];
         }
     }
 
@@ -402,94 +513,10 @@ impl Electrical {
         self.bus_v = self.bus_v.max(1e-3 * source_v);
     }
 
-    fn torque_of(&self, [d, q]: [f64; 2]) -> f64 {
-        match self.winding {
-            Winding::ThreePhase(motor) => {
-                let saliency = motor.d_inductance_h - motor.q_inductance_h;
-                1.5 * f64::from(motor.pole_pairs) * (motor.flux_wb + saliency * d) * q
-            }
-            Winding::Brushed(motor) => motor.torque_constant_nm_a * d,
-        }
-    }
-
-    fn power_of(&self, [d, q, u_d, u_q, _]: &Vector) -> f64 {
-        let share = match self.winding {
-            Winding::ThreePhase(_) => 1.5,
-            Winding::Brushed(_) => 1.0,
-        };
-        share * (u_d * d + u_q * q)
-    }
-
-    /// The fastest rate at which currents vary, 1/s.
-    fn rate(&self, velocity_rad_s: f64) -> f64 {
-        match self.winding {
-            Winding::ThreePhase(motor) => {
-                let (d, q) = (motor.d_inductance_h, motor.q_inductance_h);
-                let omega = f64::from(motor.pole_pairs) * velocity_rad_s.abs();
-                motor.resistance_ohm / d.min(q) + omega * (d / q).max(q / d)
-            }
-            Winding::Brushed(motor) => motor.resistance_ohm / motor.inductance_h,
-        }
-    }
-
     /// A standard normal number, by Box and Muller.
     fn normal(&mut self) -> f64 {
         let mut uniform = || ((self.random.next_u64() >> 11) as f64 + 0.5) / (1_u64 << 53) as f64;
         let radius = (-2.0 * uniform().ln()).sqrt();
         radius * (TAU * uniform()).cos()
     }
-}
-
-fn electrical_angle(motor: &ThreePhaseMotor, angle_rad: f64) -> f64 {
-    f64::from(motor.pole_pairs) * angle_rad
-}
-
-fn phases(alpha: f64, beta: f64) -> [f64; 3] {
-    let side = 0.75_f64.sqrt() * beta;
-    [alpha, side - 0.5 * alpha, -side - 0.5 * alpha]
-}
-
-fn three_phase_matrix(motor: &ThreePhaseMotor, velocity_rad_s: f64) -> [Vector; 5] {
-    let (d, q) = (motor.d_inductance_h, motor.q_inductance_h);
-    let omega = f64::from(motor.pole_pairs) * velocity_rad_s;
-    let resistance = motor.resistance_ohm;
-    let emf = omega * motor.flux_wb;
-    [
-        [-resistance / d, omega * q / d, 1.0 / d, 0.0, 0.0],
-        [-omega * d / q, -resistance / q, 0.0, 1.0 / q, -emf / q],
-        [0.0, 0.0, 0.0, omega, 0.0],
-        [0.0, 0.0, -omega, 0.0, 0.0],
-        [0.0; 5],
-    ]
-}
-
-fn brushed_matrix(motor: &BrushedMotor, velocity_rad_s: f64) -> [Vector; 5] {
-    let mut matrix = [[0.0; 5]; 5];
-    let inductance = motor.inductance_h;
-    let emf = motor.torque_constant_nm_a * velocity_rad_s;
-    matrix[0] = [
-        -motor.resistance_ohm / inductance,
-        0.0,
-        1.0 / inductance,
-        0.0,
-        -emf / inductance,
-    ];
-    matrix
-}
-
-/// e^(M·time)·z = Σ (M·time)ᵏ z/k!.
-fn exponential_times(matrix: &[Vector; 5], time: f64, z: &Vector) -> Vector {
-    let mut sum = *z;
-    let mut term = *z;
-    for k in 1..=TERMS {
-        let factor = time / f64::from(k);
-        term = std::array::from_fn(|row| {
-            let product: f64 = matrix[row].iter().zip(&term).map(|(m, t)| m * t).sum();
-            factor * product
-        });
-        for (total, part) in sum.iter_mut().zip(term) {
-            *total += part;
-        }
-    }
-    sum
 }

@@ -34,6 +34,7 @@ use control::ConfigError;
 use control::criterion::Device;
 
 use crate::drive::{Actuator, Drive, Halves, Impulse};
+use crate::electrical::Wiring;
 use crate::hand::Hand;
 use crate::hold::{Hold, State};
 use crate::motor::Motor;
@@ -70,6 +71,11 @@ pub enum KnobError {
         /// What was given.
         value: f64,
     },
+    /// Phases are not each connected to a terminal of their own.
+    #[error(
+        "wiring is {0:?}; accepted: terminals 0, 1, 2 in any order, and a phase from 0 to 2 open, or none"
+    )]
+    Wiring(Wiring),
     /// A quantity is larger than can be followed.
     #[error("{name} is {value}; accepted: up to {limit}, {reason}")]
     Above {

@@ -16,6 +16,7 @@
 //!   a [`drive`] that delays, lags and rounds the torque, a [`motor`] that cogs and sticks, a [`clock`]
 //!   that is not even;
 //! - [`electrical`]: windings behind an inverter, PWM period by PWM period, for scenes that ask for it;
+//! - [`powered`]: the knob and its windings together, with a board's sensors and what can break of them;
 //! - [`fidelity`]: a scene without what cannot change its answer, with a bound on the error;
 //! - [`identify`]: inertia and friction from a recording, as the set of all that explain every count;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
@@ -50,6 +51,7 @@ pub mod map;
 pub mod methods;
 pub mod motor;
 pub mod outcome;
+pub mod powered;
 pub mod precise;
 pub mod preset;
 pub mod rivals;

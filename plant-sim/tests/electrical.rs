@@ -124,7 +124,7 @@ proptest! {
             let u = [(2.0 * a - b - c) / 3.0, (b - c) / 3.0_f64.sqrt()];
             let before = rk.y;
             rk.period(u, p * angle, electrical_rad_s);
-            let period = plant.period(*duty, angle, velocity);
+            let period = plant.period(Some(*duty), angle, velocity);
             let after = p * (angle + velocity * PERIOD_S);
             for (ours, theirs) in plant.rotor_currents().iter().zip(rk.rotor(&rk.y, after)) {
                 prop_assert!((ours - theirs).abs() < 1e-8 * scale_a, "{ours} {theirs} {scale_a}");
@@ -150,7 +150,7 @@ proptest! {
             let angle = start + velocity * PERIOD_S * n as f64;
             let [a, b, c] = duty.map(|part| 24.0 * part);
             rk.period([(2.0 * a - b - c) / 3.0, (b - c) / 3.0_f64.sqrt()], p * angle, electrical_rad_s);
-            let period = plant.period(*duty, angle, velocity);
+            let period = plant.period(Some(*duty), angle, velocity);
             drawn += period.drawn_j;
             work += period.torque_nm * velocity * PERIOD_S;
             turnover += period.drawn_j.abs() + (period.torque_nm * velocity * PERIOD_S).abs();
@@ -172,7 +172,7 @@ proptest! {
         };
         let mut plant = ideal(Winding::Brushed(motor));
         for _ in 0..periods {
-            plant.period([0.0, b, c], 0.0, velocity);
+            plant.period(Some([0.0, b, c]), 0.0, velocity);
         }
         let goal = (24.0 * (b - c) - k * velocity) / resistance_ohm;
         let left = (-f64::from(periods) * PERIOD_S / time_constant_s).exp();
@@ -195,7 +195,7 @@ fn with(inverter: Inverter, sensing: CurrentSensing, supply: Supply) -> Electric
 
 fn at_rest(plant: &mut Electrical, duties: [f64; 3], periods: u32) -> f64 {
     for _ in 0..periods {
-        plant.period(duties, 0.0, 0.0);
+        plant.period(Some(duties), 0.0, 0.0);
     }
     plant.rotor_currents()[0]
 }
@@ -269,7 +269,7 @@ fn a_soft_bus_sags_under_load_and_rises_when_it_cannot_give_back() {
     // Driven from outside and shorted against its EMF, the motor feeds the bus.
     let before = plant.bus_v();
     for _ in 0..2_000 {
-        plant.period([0.0, 0.6, 0.4], 0.0, 300.0);
+        plant.period(Some([0.0, 0.6, 0.4]), 0.0, 300.0);
     }
     assert!(plant.bus_v() > before.max(24.5), "{}", plant.bus_v());
 }

@@ -215,7 +215,7 @@ impl Bench {
     fn period(&mut self, mut drive: impl FnMut(&Measured) -> Duties) -> f64 {
         let duties = drive(&self.measured()).parts().map(f64::from);
         self.plant
-            .period(duties, self.angle_rad, self.velocity_rad_s);
+            .period(Some(duties), self.angle_rad, self.velocity_rad_s);
         self.angle_rad += self.velocity_rad_s * PERIOD_S;
         self.plant.torque_nm()
     }
@@ -820,7 +820,9 @@ fn coasting_ripple(feed_forward: Option<&CoggingFeedForward>) -> f64 {
         let measured = bench.measured();
         let torque = feed_forward.map_or(0.0, |cogging| cogging.torque_nm(measured.count));
         let duties = drive.tick(torque, &measured).parts().map(f64::from);
-        let period = bench.plant.period(duties, state.position, state.velocity);
+        let period = bench
+            .plant
+            .period(Some(duties), state.position, state.velocity);
         state = knob.hold(period.torque_nm, PERIOD_S).end;
         slowest = slowest.min(state.velocity);
         fastest = fastest.max(state.velocity);
@@ -926,7 +928,9 @@ fn energy_of_a_spring(
             ..measured
         };
         let duties = drive(torque, &told).parts().map(f64::from);
-        let given = bench.plant.period(duties, state.position, state.velocity);
+        let given = bench
+            .plant
+            .period(Some(duties), state.position, state.velocity);
         state = knob.hold(given.torque_nm, PERIOD_S).end;
         let energy = 0.5 * device.inertia_kg_m2 * state.velocity.powi(2);
         if period < periods / 5 {
