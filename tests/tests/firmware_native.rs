@@ -243,7 +243,7 @@ fn another_version_is_refused_with_the_one_that_is_spoken() {
     let mut twin = Twin::new(0, "test");
     let answer = ask(&mut twin, Request::Hello { version: 1 });
     assert!(
-        answer[0].read(|_, message| *message == Message::Refused(Refusal::Version { accepted: 3 }))
+        answer[0].read(|_, message| *message == Message::Refused(Refusal::Version { accepted: 4 }))
     );
 }
 
