@@ -1,11 +1,14 @@
 use std::collections::VecDeque;
 
 use firmware::desk::{Desk, Identity};
-use firmware::settings;
+use firmware::settings::{self, BoardKind};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
 use firmware::{Commands, Link, Records};
 use protocol::{FRAME_MAX, Frames, FromDevice, Message, Request, ToDevice, decode, encode};
+
+/// As the emulated board.
+const KIND: BoardKind = BoardKind::Amplifier { counter_bits: 32 };
 
 /// The firmware without its board, on this machine.
 pub struct Twin<K = NoStore> {
@@ -32,12 +35,12 @@ impl<K: Keep> Twin<K> {
         let link: &'static Link = Box::leak(Box::new(Link::new()));
         let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
         let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
-        let start = settings::start(&store.load(), 32).expect("the defaults settle");
+        let start = settings::start(&store.load(), &KIND).expect("the defaults settle");
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
             git_hash,
             board: "emulated",
-            counter_bits: 32,
+            kind: KIND,
             reset: protocol::ResetReason::Unknown,
         };
         Self {

@@ -6,12 +6,12 @@ use core::sync::atomic::Ordering::Relaxed;
 use control::config::Law;
 use control::tick::Reason;
 use protocol::{
-    Changes, ClampReason, Event, FRAME_MAX, Fields, Frames, FromDevice, Hello, Message, Name,
-    Refusal, Request, ResetReason, Snapshot, State, Status, Stored, Subscription, Telemetry,
-    ToDevice, VERSION, decode, encode,
+    Changes, ClampReason, Drive, Event, FRAME_MAX, Fields, Frames, FromDevice, Hello, Message,
+    MotorChanges, Name, Refusal, Request, ResetReason, Snapshot, State, Status, Stored,
+    Subscription, Telemetry, ToDevice, VERSION, decode, encode,
 };
 
-use crate::settings::{self, DEFAULT_SETTINGS, HIGHEST, LOWEST, Settings, Start};
+use crate::settings::{self, BoardKind, DEFAULT_SETTINGS, HIGHEST, LOWEST, Settings, Start};
 use crate::store::{Keep, SaveError};
 use crate::ticker::{Command, Occasion, Record, StateCode};
 use crate::{CommandSender, Link, RecordReceiver};
@@ -25,8 +25,8 @@ pub struct Identity {
     pub git_hash: &'static str,
     /// The board.
     pub board: &'static str,
-    /// Width of its encoder counter.
-    pub counter_bits: u32,
+    /// What its settings must suit.
+    pub kind: BoardKind,
     /// Why it started.
     pub reset: ResetReason,
 }
@@ -190,6 +190,7 @@ impl<'a, K: Keep> Desk<'a, K> {
                 }
                 Err(refusal) => Message::Refused(refusal),
             },
+            Request::Arm if self.without_motor() => Message::Refused(Refusal::NoMotor),
             Request::Arm => {
                 return self.command(sequence, Command::Arm, self.settings, false, write);
             }
@@ -232,19 +233,12 @@ impl<'a, K: Keep> Desk<'a, K> {
                 Err(refusal) => Message::Refused(refusal),
             },
             Request::Motor => Message::Motor(self.settings.motor),
-            Request::SetMotor(changes) => {
-                let motor = self.settings.motor.with(changes);
-                match (self.state(), settings::motor(&motor)) {
-                    (State::Disarmed, Ok(())) => {
-                        self.settings.motor = motor;
-                        Message::Done {
-                            tick: self.link.tick.load(Relaxed),
-                        }
-                    }
-                    (State::Disarmed, Err(refusal)) => Message::Refused(refusal),
-                    (state, _) => Message::Refused(Refusal::State(state)),
+            Request::SetMotor(changes) => match self.settle_motor(changes) {
+                Ok((command, settings)) => {
+                    return self.command(sequence, command, settings, false, write);
                 }
-            }
+                Err(refusal) => Message::Refused(refusal),
+            },
             Request::LastFault => Message::Snapshot(self.snapshot),
             Request::Calibrate(_) => Message::Refused(Refusal::NoPowerStage),
             Request::Push(_) => Message::Refused(Refusal::Push),
@@ -256,7 +250,11 @@ impl<'a, K: Keep> Desk<'a, K> {
     fn settle(&self, changes: &Changes) -> Result<(Command, Settings), Refusal> {
         let now = self.settings.parameters;
         let parameters = now.with(changes);
-        let settled = settings::settle(&parameters, self.identity.counter_bits)?;
+        let settings = Settings {
+            parameters,
+            ..self.settings
+        };
+        let settled = settings::settle(&settings, &self.identity.kind)?;
         if self.state() == State::Armed {
             for (name, changed) in [
                 (
@@ -274,11 +272,27 @@ impl<'a, K: Keep> Desk<'a, K> {
                 }
             }
         }
+        Ok((Command::Configure(settled), settings))
+    }
+
+    /// Checks changes of the motor as a whole, beside the parameters.
+    fn settle_motor(&self, changes: &MotorChanges) -> Result<(Command, Settings), Refusal> {
+        match self.state() {
+            State::Disarmed => {}
+            state => return Err(Refusal::State(state)),
+        }
         let settings = Settings {
-            parameters,
+            motor: self.settings.motor.with(changes),
             ..self.settings
         };
+        let settled = settings::settle(&settings, &self.identity.kind)?;
         Ok((Command::Configure(settled), settings))
+    }
+
+    /// There is a power stage, and nothing is known of what it drives.
+    fn without_motor(&self) -> bool {
+        matches!(self.identity.kind, BoardKind::Stage(_))
+            && self.settings.motor.drive == Drive::None
     }
 
     /// What brings the defaults back.
@@ -290,8 +304,7 @@ impl<'a, K: Keep> Desk<'a, K> {
             State::Disarmed => {}
             state => return Err(Refusal::State(state)),
         }
-        settings::settle(&DEFAULT_SETTINGS.parameters, self.identity.counter_bits)
-            .map(Command::Configure)
+        settings::settle(&DEFAULT_SETTINGS, &self.identity.kind).map(Command::Configure)
     }
 
     /// Keeps the settings in force, unless they are kept already: a request that is repeated costs

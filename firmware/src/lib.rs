@@ -2,6 +2,8 @@
 //!
 //! - [`ticker`]: what the tick's interrupt does, and the state disarmed, armed, fault;
 //! - [`desk`]: what answers the host, below the tick;
+//! - [`current_tick`]: on a board with a power stage, what the interrupt of every PWM period does, the tick in it;
+//! - [`drive`]: what drives the motor there;
 //! - [`power`]: what a power stage and the firmware hand each other;
 //! - [`settings`]: parameters as they come over the wire, checked and made into a plan;
 //! - [`store`]: settings that survive, in two sectors of flash;
@@ -13,7 +15,9 @@
 #![forbid(unsafe_code)]
 
 pub mod board;
+pub mod current_tick;
 pub mod desk;
+pub mod drive;
 pub mod power;
 pub mod settings;
 pub mod store;

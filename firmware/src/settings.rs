@@ -9,6 +9,8 @@ use control::encoder::EncoderConfig;
 use control::plan::Plan;
 use protocol::{Drive, Motor, MotorName, Name, Parameters, Refusal, Shape, Stored};
 
+use crate::drive::Power;
+use crate::power::StageFacts;
 use crate::store::Loaded;
 use crate::ticker::Settled;
 
@@ -146,6 +148,29 @@ const fn between(low: f32, high: f32) -> protocol::Interval {
     protocol::Interval { low, high }
 }
 
+/// What settings must know of the board that they are for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum BoardKind {
+    /// One whose torque output has an amplifier of its own.
+    Amplifier {
+        /// Width of the encoder's counter.
+        counter_bits: u32,
+    },
+    /// One with a power stage, whose counter the current tick widens to 32 bits.
+    Stage(StageFacts),
+}
+
+impl BoardKind {
+    /// Width of the counter that the haptic tick reads.
+    #[must_use]
+    pub fn counter_bits(&self) -> u32 {
+        match self {
+            Self::Amplifier { counter_bits } => *counter_bits,
+            Self::Stage(_) => 32,
+        }
+    }
+}
+
 /// What a device starts with, checked.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Start {
@@ -160,10 +185,9 @@ pub struct Start {
 /// Checks what was stored; takes the defaults instead where it is not accepted.
 ///
 /// # Errors
-/// Not even the defaults are accepted with a counter of `counter_bits` bits.
-pub fn start(loaded: &Loaded, counter_bits: u32) -> Result<Start, Refusal> {
-    let checked = motor(&loaded.settings.motor)
-        .and_then(|()| settle(&loaded.settings.parameters, counter_bits));
+/// Not even the defaults are accepted on that board.
+pub fn start(loaded: &Loaded, board: &BoardKind) -> Result<Start, Refusal> {
+    let checked = settle(&loaded.settings, board);
     let refusal = match checked {
         Ok(settled) => {
             return Ok(Start {
@@ -184,7 +208,7 @@ pub fn start(loaded: &Loaded, counter_bits: u32) -> Result<Start, Refusal> {
     Ok(Start {
         stored,
         settings: DEFAULT_SETTINGS,
-        settled: settle(&DEFAULTS, counter_bits)?,
+        settled: settle(&DEFAULT_SETTINGS, board)?,
     })
 }
 
@@ -223,26 +247,63 @@ pub fn motor(given: &Motor) -> Result<(), Refusal> {
     Ok(())
 }
 
-/// Checks parameters for a board whose encoder counter has `counter_bits` bits, and makes them
-/// what the tick uses.
+/// Checks settings for a board, and makes them what the tick uses. How late and how coarse the torque of a power stage
+/// is comes on top of what is believed.
 ///
 /// # Errors
 /// The first value that is not accepted, with what would be.
-pub fn settle(parameters: &Parameters, counter_bits: u32) -> Result<Settled, Refusal> {
-    let config = config(parameters, counter_bits)?;
-    let plan = Plan::new(&config).map_err(|error| together(parameters, error))?;
+pub fn settle(settings: &Settings, board: &BoardKind) -> Result<Settled, Refusal> {
+    let parameters = &settings.parameters;
+    let mut config = config(parameters, board.counter_bits())?;
+    motor(&settings.motor)?;
+    let (mut power, mut delay_s) = (None, 0.0);
+    if let BoardKind::Stage(stage) = board {
+        let every = periods(parameters.sample_period_s, stage.pwm_period_s)?;
+        let made = Power::new(&settings.motor, parameters.counts_per_rev, every, stage)?;
+        config.timing.period_s = f64::from(every) * stage.pwm_period_s;
+        if let Some(delivery) = made.delivery(&settings.motor) {
+            delay_s = delivery.delay_s;
+            config.timing.delay_s += delay_s;
+            config.timing.amplifier_tau_s += delivery.tau_s;
+            config.torque_step_nm = config.torque_step_nm.max(delivery.torque_step_nm);
+            config.torque_max_nm = config.torque_max_nm.min(delivery.torque_max_nm);
+        }
+        power = Some(made);
+    }
+    let plan = Plan::new(&config).map_err(|error| together(parameters, delay_s, error))?;
     let longest = 1.0 + parameters.jitter_s / parameters.sample_period_s;
     let furthest = parameters.speed_max_rad_s / plan.count_speed_rad_s() * longest;
     Ok(Settled {
         // One count more than the way at top speed: a move may begin and end anywhere in a cell.
         furthest_counts: furthest as u32 + 1,
         plan,
+        power,
+    })
+}
+
+/// By so much a sample period may differ from a whole number of PWM periods, in parts of it.
+const WHOLE: f64 = 1e-4;
+
+/// How many PWM periods a sample period is.
+fn periods(sample_period_s: f32, pwm_period_s: f64) -> Result<u32, Refusal> {
+    let periods = f64::from(sample_period_s) / pwm_period_s;
+    let below = periods as u32;
+    let nearest = (periods + 0.5) as u32;
+    let off = periods - f64::from(nearest);
+    if nearest >= 1 && -WHOLE * periods <= off && off <= WHOLE * periods {
+        return Ok(nearest);
+    }
+    let whole = |n: u32| (f64::from(n) * pwm_period_s) as f32;
+    Err(Refusal::Together {
+        name: Name::SamplePeriodS,
+        lowest: whole(below.max(1)),
+        highest: whole(below + 1),
     })
 }
 
 /// Values that are each accepted, but not together: names the one that shows it, with what
-/// would be accepted beside the others.
-fn together(parameters: &Parameters, error: ConfigError) -> Refusal {
+/// would be accepted beside the others. `delay_s` is the power stage's own.
+fn together(parameters: &Parameters, delay_s: f64, error: ConfigError) -> Refusal {
     let p = parameters;
     let (name, lowest, highest) = match error {
         ConfigError::OutOfCounts { limit, .. } => {
@@ -257,7 +318,15 @@ fn together(parameters: &Parameters, error: ConfigError) -> Refusal {
         ConfigError::Period { least, most, .. } => {
             (Name::PeriodRad, -at_most(-least), at_most(most))
         }
-        ConfigError::Delay { limit, .. } => (Name::DelayS, LOWEST.delay_s, at_most(limit)),
+        // The stage alone takes longer than the shortest period: with less jitter it does not.
+        ConfigError::Delay { limit, .. } if limit < delay_s => (
+            Name::JitterS,
+            LOWEST.jitter_s,
+            at_most((limit + f64::from(p.jitter_s) - delay_s).max(0.0)),
+        ),
+        ConfigError::Delay { limit, .. } => {
+            (Name::DelayS, LOWEST.delay_s, at_most(limit - delay_s))
+        }
         ConfigError::CounterBits(_) | ConfigError::Decimation(_) => (
             Name::Decimation,
             LOWEST.decimation as f32,
@@ -363,7 +432,7 @@ pub fn config(parameters: &Parameters, counter_bits: u32) -> Result<Config, Refu
         torque_step_nm: f64::from(p.torque_step_nm),
         hardware_count_rad: TAU / f64::from(p.counts_per_rev),
         encoder: EncoderConfig::new(counter_bits, p.decimation)
-            .map_err(|error| together(p, error))?,
+            .map_err(|error| together(p, 0.0, error))?,
         shape: match p.shape {
             Shape::Spring => control::shape::Shape::Spring {
                 centre_rad: f64::from(p.centre_rad),

@@ -12,6 +12,7 @@ use control::tick::{Controller, Reason, Tick};
 
 use protocol::Fault;
 
+use crate::drive::Power;
 use crate::{CommandReceiver, Link, LinkStatus, RecordSender};
 
 /// What the desk tells the tick.
@@ -38,6 +39,8 @@ pub struct Settled {
     pub plan: Plan,
     /// The most counts that the knob can move in one period.
     pub furthest_counts: u32,
+    /// Of a board with a power stage.
+    pub power: Option<Power>,
 }
 
 /// Whether torque is given, in one byte.
@@ -149,11 +152,10 @@ impl<'a> Ticker<'a> {
     /// before this one was served.
     #[inline]
     pub fn tick(&mut self, counter: u32, elapsed_s: f32, overran: bool) -> Output {
-        let number = self.link.tick.load(Relaxed).wrapping_add(1);
-        self.link.tick.store(number, Relaxed);
+        self.begin();
         let mut period_s = None;
         if self.commands.ready() {
-            period_s = self.obey();
+            period_s = self.obey(None);
         }
         let tick = self.controller.tick(counter, elapsed_s);
         let mut torque_nm = 0.0;
@@ -170,14 +172,61 @@ impl<'a> Ticker<'a> {
         }
     }
 
+    /// One tick on a board with a power stage, which comes as often as `power` says to the bit; a new motor goes there
+    /// while the bridge is off. A `fault` found since the last tick counts in every state.
+    #[inline]
+    pub fn tick_with(&mut self, power: &mut Power, count: i32, fault: Option<Fault>) -> Output {
+        self.begin();
+        let elapsed_s = self.controller.plan().period_s();
+        let mut period_s = None;
+        if self.commands.ready() {
+            period_s = self.obey(Some(power));
+        }
+        let tick = self.controller.tick(count.cast_unsigned(), elapsed_s);
+        let mut torque_nm = 0.0;
+        let fault = match fault {
+            None if self.status.state == StateCode::Armed => {
+                fault_in(&tick, self.furthest_counts, false)
+            }
+            fault => fault,
+        };
+        match fault {
+            None if self.status.state == StateCode::Armed => torque_nm = tick.torque_nm,
+            Some(fault) if self.status.state != StateCode::Fault => self.fail(tick, fault),
+            _ => {}
+        }
+        self.tell(&tick);
+        Output {
+            torque_nm,
+            period_s,
+        }
+    }
+
+    /// The state.
+    #[must_use]
+    #[inline]
+    pub fn state(&self) -> StateCode {
+        self.status.state
+    }
+
+    #[inline]
+    fn begin(&mut self) {
+        let number = self.link.tick.load(Relaxed).wrapping_add(1);
+        self.link.tick.store(number, Relaxed);
+    }
+
     /// Takes the next command.
     #[cold]
     #[inline(never)]
-    fn obey(&mut self) -> Option<f32> {
+    fn obey(&mut self, power: Option<&mut Power>) -> Option<f32> {
         let command = self.commands.dequeue()?;
         let mut period_s = None;
         let done = match (command, self.status.state) {
             (Command::Configure(settled), state) => {
+                let off = matches!(state, StateCode::Disarmed | StateCode::Fault);
+                if let (Some(power), Some(new), true) = (power, settled.power, off) {
+                    *power = new;
+                }
                 let (old, new) = (self.controller.plan(), settled.plan);
                 // With the same period, Δ/T is the same where Δ is. Believed jitter, delay and
                 // lag are the plan's alone.

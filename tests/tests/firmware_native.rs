@@ -1,17 +1,26 @@
 //! The firmware without its board, run natively: limits, arming, and a line that is too slow.
 
 use acceptance::{Answer, Twin, answers, request_frame};
-use firmware::settings::{DEFAULTS, HIGHEST, LOWEST, settle};
+use firmware::settings::{self, BoardKind, DEFAULTS, HIGHEST, LOWEST, NO_MOTOR, Settings};
+use firmware::ticker::Settled;
 use proptest::prelude::*;
 use protocol::{
-    Changes, Event, Fields, Frames, Interval, Law, Message, Name, Refusal, Request, Shape, State,
-    Subscription,
+    Changes, Event, Fields, Frames, Interval, Law, Message, Name, Parameters, Refusal, Request,
+    Shape, State, Subscription,
 };
 
 fn ask(twin: &mut Twin, request: Request) -> Vec<Answer> {
     twin.send(&request_frame(3, request));
     twin.tick(0, false);
     answers(&mut Frames::new(), &twin.take_output())
+}
+
+fn settle(parameters: &Parameters, counter_bits: u32) -> Result<Settled, Refusal> {
+    let settings = Settings {
+        parameters: *parameters,
+        motor: NO_MOTOR,
+    };
+    settings::settle(&settings, &BoardKind::Amplifier { counter_bits })
 }
 
 #[test]
@@ -21,7 +30,7 @@ fn the_defaults_settle_on_every_counter_and_so_do_the_limits() {
         for edge in [LOWEST, HIGHEST] {
             // A wall or centre may be more counts away than there are, and a delay longer than a
             // period; all else goes together.
-            let near = protocol::Parameters {
+            let near = Parameters {
                 centre_rad: 0.0,
                 wall_rad: 0.0,
                 delay_s: 0.0,
@@ -396,7 +405,7 @@ proptest! {
 }
 
 /// Parameters with one number of [`Refusal::Together`] changed.
-fn with(parameters: &protocol::Parameters, name: Name, value: f32) -> protocol::Parameters {
+fn with(parameters: &Parameters, name: Name, value: f32) -> Parameters {
     let mut all = *parameters;
     let place = match name {
         Name::CentreRad => &mut all.centre_rad,
@@ -473,7 +482,7 @@ fn what_does_not_go_together_is_refused_with_what_would() {
 #[test]
 fn believed_jitter_gives_the_encoder_as_much_more_room() {
     let furthest = |jitter_s| {
-        let parameters = protocol::Parameters {
+        let parameters = Parameters {
             jitter_s,
             ..DEFAULTS
         };

@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use firmware::desk::{Desk, Identity};
-use firmware::settings;
+use firmware::settings::{self, BoardKind};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
 use firmware::{Commands, Link, Records};
@@ -18,6 +18,8 @@ use rustix::fs::{Mode, OFlags, fcntl_setfl, open};
 use rustix::io::{read, write};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+
+const KIND: BoardKind = BoardKind::Amplifier { counter_bits: 32 };
 
 /// One end of a serial line, with something behind it; gone when dropped.
 pub struct Port {
@@ -127,12 +129,12 @@ fn board_on(
     let link: &'static Link = Box::leak(Box::new(Link::new()));
     let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
     let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
-    let start = settings::start(&store.load(), 32).unwrap();
+    let start = settings::start(&store.load(), &KIND).unwrap();
     let identity = Identity {
         firmware: "1.2.3",
         git_hash: "abc1234",
         board: "native",
-        counter_bits: 32,
+        kind: KIND,
         reset: protocol::ResetReason::Unknown,
     };
     let mut ticker = Ticker::new(&start.settled, 0, link, command_receiver, record_sender);

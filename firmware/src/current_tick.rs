@@ -1,0 +1,204 @@
+//! What the interrupt of every PWM period does: take the encoder's count, decide at every n-th period by the haptic
+//! tick what torque to give, and have the drive bring it.
+//!
+//! # When
+//! Currents are sampled at a period's start, and the encoder is read right after. Haptic tick and drive follow each
+//! other within the same interrupt: a torque decided from this count goes into duties at once, which are in
+//! force for the whole of the next period. From the count to the first change of torque passes one PWM
+//! period, however long the haptic period is, and then the drive's lag: both are
+//! [`Delivery`](control::torque::Delivery), which the plan reckons with.
+//!
+//! # Direction
+//! Angle and torque of the haptic tick are positive where the counter grows. Where the motor is wired the other way
+//! round, the drive gets count, speed and torque negated.
+//!
+//! # Speed
+//! The drive's speed is the counts of the last 16 PWM periods (32 of a voltage drive) over their time: the mean over that
+//! window W, which is the speed W/2 ago, 1/3 ms (2/3 ms), and wrong by up to one count per window.
+
+use control::torque::Measured;
+use protocol::Fault;
+
+use crate::drive::{MOST_WINDOW, Power};
+use crate::power::{Bridge, Sensed};
+use crate::ticker::{StateCode, Ticker};
+
+/// The current tick, and all that it owns.
+pub struct CurrentTick<'a> {
+    ticker: Ticker<'a>,
+    power: Power,
+    motion: Motion,
+    /// PWM periods until the haptic tick.
+    due_in: u32,
+    /// Of the last haptic tick, Nm.
+    torque_nm: f32,
+    /// Found since the last haptic tick; the bridge is off from then on.
+    fault: Option<Fault>,
+}
+
+impl<'a> CurrentTick<'a> {
+    /// The bridge off, for an encoder whose counter of `counter_bits` bits (2 to 32) reads `counter` now; the ticker was
+    /// made with its [`widened`] count.
+    #[must_use]
+    pub fn new(ticker: Ticker<'a>, power: Power, counter_bits: u32, counter: u32) -> Self {
+        Self {
+            ticker,
+            due_in: power.every,
+            power,
+            motion: Motion::new(counter_bits, counter),
+            torque_nm: 0.0,
+            fault: None,
+        }
+    }
+
+    /// One PWM period. `gate_fault`: the gate driver has put the outputs off; `overran`: another period began
+    /// before this one was served.
+    #[inline]
+    pub fn tick(&mut self, sensed: &Sensed, gate_fault: bool, overran: bool) -> Bridge {
+        let count = self.motion.follow(sensed.counter);
+        // While disarmed, saving may keep the chip for longer than a period.
+        if overran && self.ticker.state() != StateCode::Disarmed {
+            self.fault = Some(Fault::CurrentOverrun);
+        }
+        if gate_fault {
+            self.fault = Some(Fault::GateDriver);
+        }
+        if self.due_in <= 1 {
+            let fault = self.fault.take();
+            let output = self.ticker.tick_with(&mut self.power, count, fault);
+            self.torque_nm = output.torque_nm;
+            self.due_in = self.power.every;
+        } else {
+            self.due_in -= 1;
+        }
+        self.bridge(sensed, count)
+    }
+
+    /// True if the last period had a haptic tick in it.
+    #[must_use]
+    #[inline]
+    pub fn was_haptic(&self) -> bool {
+        self.due_in == self.power.every
+    }
+
+    /// What the bridge is to do, as things stand.
+    #[inline]
+    fn bridge(&mut self, sensed: &Sensed, count: i32) -> Bridge {
+        let speed_rad_s =
+            self.motion.counts_in(self.power.window) as f32 * self.power.count_speed_rad_s;
+        let Some(drive) = &mut self.power.drive else {
+            return Bridge::Off;
+        };
+        if self.ticker.state() != StateCode::Armed || self.fault.is_some() {
+            drive.clear();
+            return Bridge::Off;
+        }
+        let (count, speed_rad_s, torque_nm) = if self.power.reversed {
+            (count.wrapping_neg(), -speed_rad_s, -self.torque_nm)
+        } else {
+            (count, speed_rad_s, self.torque_nm)
+        };
+        let measured = Measured {
+            currents: self.power.sense.currents(sensed.currents),
+            count,
+            speed_rad_s,
+            bus_v: sensed.bus_v,
+        };
+        Bridge::On(drive.tick(torque_nm, &measured))
+    }
+}
+
+/// A counter of so many bits (2 to 32) as a count near 0.
+#[must_use]
+pub fn widened(counter: u32, counter_bits: u32) -> i32 {
+    let shift = 32 - counter_bits.clamp(2, 32);
+    (counter << shift).cast_signed() >> shift
+}
+
+/// Counts of the last periods. A power of two, so that a number cut to it is always a place.
+const HISTORY: usize = MOST_WINDOW as usize;
+const _: () = assert!(HISTORY.is_power_of_two());
+
+/// The encoder's count, widened, now and in the past.
+struct Motion {
+    /// 32 − the counter's bits.
+    shift: u32,
+    count: i32,
+    past: [i32; HISTORY],
+    /// Of the latest count.
+    place: usize,
+    /// The count [`MOST_WINDOW`] periods ago, which the latest has replaced.
+    oldest: i32,
+}
+
+impl Motion {
+    /// At rest since ever.
+    fn new(counter_bits: u32, counter: u32) -> Self {
+        let count = widened(counter, counter_bits);
+        Self {
+            shift: 32 - counter_bits.clamp(2, 32),
+            count,
+            past: [count; HISTORY],
+            place: 0,
+            oldest: count,
+        }
+    }
+
+    /// Takes the counter as it reads now, and returns the count: right while the knob moves by less than half the
+    /// counter's range in a PWM period.
+    #[inline]
+    fn follow(&mut self, counter: u32) -> i32 {
+        let shift = self.shift & 31;
+        let moved =
+            (counter.wrapping_sub(self.count.cast_unsigned()) << shift).cast_signed() >> shift;
+        self.count = self.count.wrapping_add(moved);
+        self.place = (self.place + 1) % HISTORY;
+        let place = &mut self.past[self.place];
+        self.oldest = *place;
+        *place = self.count;
+        self.count
+    }
+
+    /// How far it moved in the last `periods`, at most [`MOST_WINDOW`].
+    #[inline]
+    fn counts_in(&self, periods: u32) -> i32 {
+        let then = if periods >= MOST_WINDOW {
+            self.oldest
+        } else {
+            self.past[self.place.wrapping_sub(periods as usize) % HISTORY]
+        };
+        self.count.wrapping_sub(then)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Whatever the counter's width, its wraps do not show.
+        #[test]
+        fn the_count_follows_a_counter_that_wraps(
+            bits in 3..=32_u32,
+            start in any::<u32>(),
+            moves in prop::collection::vec(-1.0..1.0f64, 1..200),
+            window in 1..=MOST_WINDOW,
+        ) {
+            let mask = u32::MAX >> (32 - bits);
+            let mut motion = Motion::new(bits, start & mask);
+            let reach = f64::from(1_u32 << (bits - 1)) - 1.0;
+            let first = motion.count;
+            let mut truth = vec![first; MOST_WINDOW as usize + 1];
+            for share in moves {
+                let moved = (share * reach) as i32;
+                truth.push(truth.last().unwrap().wrapping_add(moved));
+                let now = *truth.last().unwrap();
+                let counter = start.wrapping_add(now.wrapping_sub(first).cast_unsigned()) & mask;
+                prop_assert_eq!(motion.follow(counter), now);
+                let then = truth[truth.len() - 1 - window as usize];
+                prop_assert_eq!(motion.counts_in(window), now.wrapping_sub(then));
+            }
+        }
+    }
+}

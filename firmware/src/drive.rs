@@ -1,0 +1,235 @@
+//! What drives the motor: one of the drives of [`control::torque`], made from what is known of the motor and of
+//! the power stage.
+
+use core::f64::consts::TAU;
+
+use control::torque::angle::EncoderOnMotor;
+use control::torque::brushed::BrushedLoop;
+use control::torque::current::CurrentLoop;
+use control::torque::modulation::Duties;
+use control::torque::sense::CurrentSense;
+use control::torque::voltage::VoltageDrive;
+use control::torque::{
+    BrushedMotor, Delivery, FASTEST, InverterConfig, LoopConfig, Measured, ThreePhaseMotor,
+};
+use protocol::{Drive, Motor, MotorName, Refusal};
+
+use crate::power::StageFacts;
+use crate::settings::{HIGHEST, MOTOR_HIGHEST, MOTOR_LOWEST};
+
+/// The part by which resistance and inductance may be off: copper is a third more at 110 °C than at 25 °C.
+pub const TOLERANCE: f64 = 0.3;
+
+/// PWM periods over which the speed is taken, of a drive with a current loop: what a count more or less makes of the
+/// back-EMF stays near a step of the current converter.
+const CURRENT_WINDOW: u32 = 16;
+
+/// The same of a voltage drive, which has no loop to make up for it.
+const VOLTAGE_WINDOW: u32 = 32;
+
+/// A motor's drive.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum MotorDrive {
+    /// Three phases, by their currents.
+    Current(CurrentLoop),
+    /// Three phases, by voltage.
+    Voltage(VoltageDrive),
+    /// Brushed, by its current.
+    Brushed(BrushedLoop),
+}
+
+impl MotorDrive {
+    /// The drive for a motor within [`MOTOR_LOWEST`] and [`MOTOR_HIGHEST`], whose encoder has `counts_per_rev` counts; none
+    /// where the motor says so.
+    ///
+    /// # Errors
+    /// The value of the motor that is not accepted, with what would be.
+    pub fn new(
+        motor: &Motor,
+        counts_per_rev: u32,
+        stage: &StageFacts,
+    ) -> Result<Option<Self>, Refusal> {
+        offsets(motor, stage)?;
+        let inverter = InverterConfig {
+            pwm_period_s: stage.pwm_period_s,
+            pwm_steps: stage.pwm_steps,
+            dead_time_s: stage.dead_time_s,
+            dead_time_edge_a: stage.dead_time_edge_a,
+            duty_max: stage.duty_max,
+            bus_least_v: stage.bus_least_v,
+            bus_most_v: stage.bus_most_v,
+            current_step_a: stage.current_step_a,
+        };
+        let current_max_a = f64::from(motor.current_max_a);
+        let asked = LoopConfig {
+            bandwidth_rad_s: FASTEST / stage.pwm_period_s,
+            current_max_a,
+            tolerance: TOLERANCE,
+        };
+        let three_phase = ThreePhaseMotor {
+            resistance_ohm: f64::from(motor.resistance_ohm),
+            d_inductance_h: f64::from(motor.d_inductance_h),
+            q_inductance_h: f64::from(motor.q_inductance_h),
+            flux_wb: f64::from(motor.torque_constant_nm_a) / (1.5 * f64::from(motor.pole_pairs)),
+            pole_pairs: motor.pole_pairs,
+        };
+        let encoder = EncoderOnMotor {
+            counts_per_rev,
+            zero_turns: f64::from(motor.zero_turns),
+        };
+        let made = match motor.drive {
+            Drive::None => return Ok(None),
+            Drive::Current => {
+                CurrentLoop::new(&three_phase, &encoder, &inverter, &asked).map(Self::Current)
+            }
+            Drive::Voltage => {
+                slowest(motor)?;
+                VoltageDrive::new(&three_phase, &encoder, &inverter, current_max_a, TOLERANCE)
+                    .map(Self::Voltage)
+            }
+            Drive::Brushed => {
+                let brushed = BrushedMotor {
+                    resistance_ohm: f64::from(motor.resistance_ohm),
+                    inductance_h: f64::from(motor.d_inductance_h),
+                    torque_constant_nm_a: f64::from(motor.torque_constant_nm_a),
+                };
+                BrushedLoop::new(&brushed, &inverter, &asked).map(Self::Brushed)
+            }
+        };
+        // Within the limits of a motor there is always a drive: the tests try.
+        made.map(Some).map_err(|_| Refusal::NoMotor)
+    }
+
+    /// What a governor must know of its torque.
+    #[must_use]
+    pub fn delivery(&self) -> Delivery {
+        match self {
+            Self::Current(drive) => drive.delivery(),
+            Self::Voltage(drive) => drive.delivery(),
+            Self::Brushed(drive) => drive.delivery(),
+        }
+    }
+
+    /// One period: the duties that bring a torque (Nm).
+    #[must_use]
+    #[inline]
+    pub fn tick(&mut self, torque_nm: f32, measured: &Measured) -> Duties {
+        match self {
+            Self::Current(drive) => drive.tick(torque_nm, measured),
+            Self::Voltage(drive) => drive.tick(torque_nm, measured),
+            Self::Brushed(drive) => drive.tick(torque_nm, measured),
+        }
+    }
+
+    /// Forgets the past: to be called where the bridge was off.
+    #[inline]
+    pub fn clear(&mut self) {
+        match self {
+            Self::Current(drive) => drive.clear(),
+            Self::Voltage(_) => {}
+            Self::Brushed(drive) => drive.clear(),
+        }
+    }
+}
+
+/// Codes without current that no good board has are a mistake.
+fn offsets(motor: &Motor, stage: &StageFacts) -> Result<(), Refusal> {
+    let lowest = (stage.current_zero_code - stage.current_zero_spread) as f32;
+    let highest = (stage.current_zero_code + stage.current_zero_spread) as f32;
+    for (name, given) in [
+        (MotorName::OffsetBCodes, motor.offset_b_codes),
+        (MotorName::OffsetCCodes, motor.offset_c_codes),
+    ] {
+        if !(lowest..=highest).contains(&given) {
+            return Err(Refusal::MotorValue {
+                name,
+                given,
+                lowest,
+                highest,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Of a voltage drive, the lag is the windings' own, and a governor can be told of one up to a limit.
+fn slowest(motor: &Motor) -> Result<(), Refusal> {
+    let worst = (1.0 + TOLERANCE as f32) / (1.0 - TOLERANCE as f32);
+    let highest =
+        (HIGHEST.amplifier_tau_s / worst * motor.resistance_ohm).min(MOTOR_HIGHEST.q_inductance_h);
+    if motor.q_inductance_h <= highest {
+        return Ok(());
+    }
+    Err(Refusal::MotorValue {
+        name: MotorName::QInductanceH,
+        given: motor.q_inductance_h,
+        lowest: MOTOR_LOWEST.q_inductance_h,
+        highest,
+    })
+}
+
+/// What the current tick takes of checked settings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Power {
+    /// n: the haptic tick comes in every n-th PWM period.
+    pub every: u32,
+    /// What drives the motor; none until it is known.
+    pub drive: Option<MotorDrive>,
+    /// The current converters.
+    pub sense: CurrentSense,
+    /// The counter falls where the motor's torque is positive.
+    pub reversed: bool,
+    /// The window of the speed, PWM periods, at most [`MOST_WINDOW`].
+    pub window: u32,
+    /// The speed of one count in the window, rad/s.
+    pub count_speed_rad_s: f32,
+}
+
+/// The longest window of the speed.
+pub const MOST_WINDOW: u32 = VOLTAGE_WINDOW;
+
+impl Power {
+    /// For a haptic tick in every `every`-th PWM period.
+    ///
+    /// # Errors
+    /// As [`MotorDrive::new`].
+    pub fn new(
+        motor: &Motor,
+        counts_per_rev: u32,
+        every: u32,
+        stage: &StageFacts,
+    ) -> Result<Self, Refusal> {
+        let drive = MotorDrive::new(motor, counts_per_rev, stage)?;
+        let window = match drive {
+            Some(MotorDrive::Voltage(_)) => VOLTAGE_WINDOW,
+            _ => CURRENT_WINDOW,
+        };
+        let offsets = [motor.offset_b_codes, motor.offset_c_codes].map(f64::from);
+        let window_s = f64::from(window) * stage.pwm_period_s;
+        Ok(Self {
+            every,
+            drive,
+            // The step is the stage's, and the offsets were checked.
+            sense: CurrentSense::new(stage.current_step_a, offsets)
+                .map_err(|_| Refusal::NoMotor)?,
+            reversed: motor.reversed,
+            window,
+            count_speed_rad_s: (TAU / f64::from(counts_per_rev) / window_s) as f32,
+        })
+    }
+
+    /// What a governor must know of the torque: the drive's own, and of a voltage drive the torque that comes of a speed
+    /// wrong by a count, which no loop takes back.
+    #[must_use]
+    pub fn delivery(&self, motor: &Motor) -> Option<Delivery> {
+        let drive = self.drive.as_ref()?;
+        let mut delivery = drive.delivery();
+        if let MotorDrive::Voltage(_) = drive {
+            let constant = f64::from(motor.torque_constant_nm_a);
+            // k·(k/1.5)/R of it: the back-EMF in q is the flux' p ψ.
+            delivery.torque_step_nm += constant * constant / 1.5 / f64::from(motor.resistance_ohm)
+                * f64::from(self.count_speed_rad_s);
+        }
+        Some(delivery)
+    }
+}
