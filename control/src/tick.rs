@@ -159,6 +159,17 @@ impl Controller {
         self.plan.torque_max_nm
     }
 
+    /// [`Self::limit_torque`] at a part of the plan's limit; returns the part in force, 1 where it is all.
+    pub fn raise_torque(&mut self, part: f32) -> f32 {
+        let full_nm = self.torque_max_nm;
+        let limit_nm = self.limit_torque(if part < 1.0 { part * full_nm } else { full_nm });
+        if limit_nm < full_nm {
+            limit_nm / full_nm
+        } else {
+            1.0
+        }
+    }
+
     /// Whether the spring in force stays within a torque from its zero to where the knob is.
     fn cuts_nothing(&self, torque_nm: f32) -> bool {
         let reading = self.plan.profile.read(self.encoder.count());

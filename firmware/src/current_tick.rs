@@ -19,9 +19,10 @@
 use control::torque::Measured;
 use protocol::Fault;
 
-use crate::drive::{MOST_WINDOW, Power};
+use crate::drive::{MOST_WINDOW, MotorDrive, Power};
+use crate::guard::{Guard, Seen};
 use crate::power::{Bridge, Sensed};
-use crate::ticker::{StateCode, Ticker};
+use crate::ticker::{StateCode, Stood, Ticker, Watch};
 
 /// The current tick, and all that it owns.
 pub struct CurrentTick<'a> {
@@ -34,6 +35,9 @@ pub struct CurrentTick<'a> {
     torque_nm: f32,
     /// Found since the last haptic tick; the bridge is off from then on.
     fault: Option<Fault>,
+    /// How things stood then.
+    stood: Stood,
+    guard: Guard,
 }
 
 impl<'a> CurrentTick<'a> {
@@ -48,6 +52,8 @@ impl<'a> CurrentTick<'a> {
             motion: Motion::new(counter_bits, counter),
             torque_nm: 0.0,
             fault: None,
+            stood: Stood::default(),
+            guard: Guard::new(),
         }
     }
 
@@ -56,22 +62,49 @@ impl<'a> CurrentTick<'a> {
     #[inline]
     pub fn tick(&mut self, sensed: &Sensed, gate_fault: bool, overran: bool) -> Bridge {
         let count = self.motion.follow(sensed.counter);
-        // While disarmed, saving may keep the chip for longer than a period.
-        if overran && self.ticker.state() != StateCode::Disarmed {
-            self.fault = Some(Fault::CurrentOverrun);
-        }
-        if gate_fault {
-            self.fault = Some(Fault::GateDriver);
+        let seen = self.seen(sensed);
+        let wrong = self.guard.look(&self.power.limits, &seen);
+        if self.fault.is_none() {
+            self.stood = Stood {
+                currents: seen.currents,
+                bus_v: seen.bus_v,
+            };
+            // While disarmed, saving may keep the chip for longer than a period.
+            self.fault = if gate_fault {
+                Some(Fault::GateDriver)
+            } else if overran && self.ticker.state() != StateCode::Disarmed {
+                Some(Fault::CurrentOverrun)
+            } else {
+                wrong
+            };
         }
         if self.due_in <= 1 {
-            let fault = self.fault.take();
-            let output = self.ticker.tick_with(&mut self.power, count, fault);
+            let watch = Watch {
+                found: self.fault.take(),
+                stood: self.stood,
+                guard: &self.guard,
+            };
+            let output = self.ticker.tick_with(&mut self.power, count, &watch);
             self.torque_nm = output.torque_nm;
             self.due_in = self.power.every;
         } else {
             self.due_in -= 1;
         }
-        self.bridge(sensed, count)
+        self.bridge(&seen, count)
+    }
+
+    /// What the guard is shown, and the drive after it.
+    #[inline]
+    fn seen(&self, sensed: &Sensed) -> Seen {
+        let power = &self.power;
+        Seen {
+            currents: power.sense.currents(sensed.currents),
+            bus_v: sensed.bus_v,
+            moved: self.motion.counts_in(1),
+            speed_rad_s: self.motion.counts_in(power.window) as f32 * power.count_speed_rad_s,
+            unexplained_v: power.drive.as_ref().map_or(0.0, MotorDrive::unexplained_v),
+            active: !matches!(self.ticker.state(), StateCode::Disarmed | StateCode::Fault),
+        }
     }
 
     /// True if the last period had a haptic tick in it.
@@ -83,9 +116,8 @@ impl<'a> CurrentTick<'a> {
 
     /// What the bridge is to do, as things stand.
     #[inline]
-    fn bridge(&mut self, sensed: &Sensed, count: i32) -> Bridge {
-        let speed_rad_s =
-            self.motion.counts_in(self.power.window) as f32 * self.power.count_speed_rad_s;
+    fn bridge(&mut self, seen: &Seen, count: i32) -> Bridge {
+        let speed_rad_s = seen.speed_rad_s;
         let Some(drive) = &mut self.power.drive else {
             return Bridge::Off;
         };
@@ -99,10 +131,10 @@ impl<'a> CurrentTick<'a> {
             (count, speed_rad_s, self.torque_nm)
         };
         let measured = Measured {
-            currents: self.power.sense.currents(sensed.currents),
+            currents: seen.currents,
             count,
             speed_rad_s,
-            bus_v: sensed.bus_v,
+            bus_v: seen.bus_v,
         };
         Bridge::On(drive.tick(torque_nm, &measured))
     }

@@ -4,6 +4,7 @@
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use firmware::board::{Housekeeping, PowerStage, SerialOutput};
+    use firmware::upkeep::Upkeep;
     use firmware::current_tick::{self, CurrentTick};
     use firmware::desk::{Desk, Identity};
     use firmware::settings::{self, BoardKind};
@@ -32,6 +33,7 @@ mod app {
         current: CurrentTick<'static>,
         slow_in: u32,
         housekeeper: Housekeeper,
+        upkeep: Upkeep<'static>,
         serial_in: SerialIn,
         received: Producer<'static, u8, BYTES>,
         bytes: Consumer<'static, u8, BYTES>,
@@ -103,6 +105,7 @@ mod app {
                 current,
                 slow_in: SLOW,
                 housekeeper,
+                upkeep: Upkeep::new(link),
                 serial_in,
                 received,
                 bytes,
@@ -154,9 +157,9 @@ mod app {
     }
 
     /// What a power stage needs now and then. Above the desk, which may wait for a slow line.
-    #[task(binds = EXTI1, priority = 2, local = [housekeeper])]
+    #[task(binds = EXTI1, priority = 2, local = [housekeeper, upkeep])]
     fn slow(cx: slow::Context) {
-        cx.local.housekeeper.feed_watchdog();
+        cx.local.upkeep.run(cx.local.housekeeper);
     }
 
     /// Answers the host, sends what the tick has told.
