@@ -64,7 +64,8 @@ impl<'a> CurrentTick<'a> {
         let count = self.motion.follow(sensed.counter);
         let seen = self.seen(sensed);
         let wrong = self.guard.look(&self.power.limits, &seen);
-        if self.fault.is_none() {
+        let state = self.ticker.state();
+        if self.fault.is_none() && state != StateCode::Fault {
             self.stood = Stood {
                 currents: seen.currents,
                 bus_v: seen.bus_v,
@@ -72,7 +73,7 @@ impl<'a> CurrentTick<'a> {
             // While disarmed, saving may keep the chip for longer than a period.
             self.fault = if gate_fault {
                 Some(Fault::GateDriver)
-            } else if overran && self.ticker.state() != StateCode::Disarmed {
+            } else if overran && state != StateCode::Disarmed {
                 Some(Fault::CurrentOverrun)
             } else {
                 wrong

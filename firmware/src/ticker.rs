@@ -252,7 +252,9 @@ impl<'a> Ticker<'a> {
         let mut torque_nm = 0.0;
         let fault = match watch.found.or(self.barred.take()) {
             None if self.status.state == StateCode::Armed => {
-                fault_in(&tick, self.furthest_counts, false).or(slow)
+                fault_in(&tick, self.furthest_counts, false)
+                    .map(|fault| self.of_many_periods(fault))
+                    .or(slow)
             }
             fault => fault,
         };
@@ -281,6 +283,16 @@ impl<'a> Ticker<'a> {
     fn begin(&mut self) {
         let number = self.link.tick.load(Relaxed).wrapping_add(1);
         self.link.tick.store(number, Relaxed);
+    }
+
+    /// Where a jump would have been seen in its PWM period, a long way is a speed.
+    fn of_many_periods(&self, fault: Fault) -> Fault {
+        match fault {
+            Fault::EncoderJump { counts } => Fault::OverSpeed {
+                speed_rad_s: counts as f32 * self.controller.plan().count_speed_rad_s(),
+            },
+            other => other,
+        }
     }
 
     /// What is wrong with what the slow task watches, or with itself: it ran once and does not any more.
