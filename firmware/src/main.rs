@@ -12,6 +12,14 @@ mod application;
 #[path = "board/emulated.rs"]
 mod board;
 
+#[cfg(all(target_os = "none", feature = "emulated-drive"))]
+#[path = "app/power_stage.rs"]
+mod application;
+
+#[cfg(all(target_os = "none", feature = "emulated-drive"))]
+#[path = "board/emulated_drive.rs"]
+mod board;
+
 #[cfg(not(target_os = "none"))]
 fn main() {
     eprintln!("this program runs on the chip: build it with `cargo xtask firmware`");

@@ -52,8 +52,12 @@ pub mod methods;
 pub mod motor;
 pub mod outcome;
 pub mod powered;
+#[cfg(unix)]
+pub mod powered_lockstep;
 pub mod precise;
 pub mod preset;
+#[cfg(unix)]
+mod qemu;
 pub mod rivals;
 pub mod search;
 mod series;
