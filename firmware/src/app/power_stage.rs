@@ -4,12 +4,12 @@
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use firmware::board::{Housekeeping, PowerStage, SerialOutput};
-    use firmware::upkeep::Upkeep;
     use firmware::current_tick::{self, CurrentTick};
     use firmware::desk::{Desk, Identity};
     use firmware::settings::{self, BoardKind};
     use firmware::store::Keep;
     use firmware::ticker::Ticker;
+    use firmware::upkeep::Upkeep;
     use firmware::{Commands, Link, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
