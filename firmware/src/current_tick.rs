@@ -101,7 +101,7 @@ impl<'a> CurrentTick<'a> {
         Seen {
             currents: power.sense.currents(sensed.currents),
             bus_v: sensed.bus_v,
-            moved: self.motion.counts_in(1),
+            moved: self.motion.moved,
             speed_rad_s: self.motion.counts_in(power.window) as f32 * power.count_speed_rad_s,
             unexplained_v: power.drive.as_ref().map_or(0.0, MotorDrive::unexplained_v),
             active: !matches!(self.ticker.state(), StateCode::Disarmed | StateCode::Fault),
@@ -157,6 +157,8 @@ struct Motion {
     /// 32 − the counter's bits.
     shift: u32,
     count: i32,
+    /// Since the period before.
+    moved: i32,
     past: [i32; HISTORY],
     /// Of the latest count.
     place: usize,
@@ -171,6 +173,7 @@ impl Motion {
         Self {
             shift: 32 - counter_bits.clamp(2, 32),
             count,
+            moved: 0,
             past: [count; HISTORY],
             place: 0,
             oldest: count,
@@ -184,6 +187,7 @@ impl Motion {
         let shift = self.shift & 31;
         let moved =
             (counter.wrapping_sub(self.count.cast_unsigned()) << shift).cast_signed() >> shift;
+        self.moved = moved;
         self.count = self.count.wrapping_add(moved);
         self.place = (self.place + 1) % HISTORY;
         let place = &mut self.past[self.place];

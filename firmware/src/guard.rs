@@ -184,21 +184,28 @@ impl Guard {
         self.off = 0;
         let PhaseCurrents { b_a, c_a } = seen.currents;
         let sum_a = (b_a + c_a).abs();
+        let speed_rad_s = seen.speed_rad_s.abs();
         let well = b_a.abs() <= limits.current_a
             && c_a.abs() <= limits.current_a
             && sum_a <= smaller(limits.current_a, limits.sum_a)
             && seen.bus_v >= limits.bus_least_v
             && seen.bus_v <= limits.bus_most_v
             && seen.moved.unsigned_abs() <= limits.jump_counts
-            && seen.speed_rad_s.abs() <= limits.speed_rad_s
-            && seen.unexplained_v <= limits.unexplained_v;
-        if well && !self.alert {
-            return None;
+            && speed_rad_s <= limits.speed_rad_s
+            && seen.unexplained_v
+                <= limits.unexplained_v + limits.unexplained_v_s_rad * speed_rad_s;
+        if !well {
+            return self.count(limits, seen);
         }
-        self.count(limits, seen)
+        if self.alert {
+            (self.over_current, self.sum, self.high, self.low) = (0, 0, 0, 0);
+            self.blind = self.blind.saturating_sub(1);
+            self.alert = self.blind != 0;
+        }
+        None
     }
 
-    /// Where anything is beyond its limit, or was.
+    /// Where anything is beyond its limit.
     #[cold]
     #[inline(never)]
     fn count(&mut self, limits: &Limits, seen: &Seen) -> Option<Fault> {
