@@ -732,6 +732,39 @@ mod tests {
         }
     }
 
+    proptest! {
+        /// ∫ min(K f, limit) from the zero to where the knob is.
+        #[test]
+        fn a_spring_under_a_limit_stores_no_more_than_was_put_in(
+            detent in any::<bool>(),
+            stiffness in 0.01..2.0f64,
+            limit_nm in 1e-4..0.1f32,
+            count in -130..130_i32,
+        ) {
+            let period_rad = 0.2;
+            let shape = if detent {
+                Shape::Detent { centre_rad: 0.0, period_rad }
+            } else {
+                SPRING
+            };
+            let mut controller = controller(&re35(Law::Raw, shape, stiffness));
+            prop_assert_eq!(controller.limit_torque(limit_nm), limit_nm);
+            let reading = controller.plan.profile.read(count);
+            let way = f64::from(reading.deflection_rad.abs());
+            let torque = |x: f64| {
+                let turn = core::f64::consts::TAU / period_rad;
+                let pull = if detent { (turn * x).sin() / turn } else { x };
+                (stiffness * pull).min(f64::from(limit_nm))
+            };
+            let steps = 2_000;
+            let step = way / f64::from(steps);
+            let put_in: f64 = (0..steps).map(|i| torque((f64::from(i) + 0.5) * step) * step).sum();
+            let stored = f64::from(controller.stored_j(count));
+            prop_assert!(stored <= put_in * (1.0 + 1e-4), "{stored:e} of {put_in:e}");
+            prop_assert!(stored >= 0.49 * put_in, "{stored:e} of {put_in:e}");
+        }
+    }
+
     #[test]
     fn torques_are_cut_to_whole_steps_and_raw_is_not() {
         for (law, torque) in [(Law::Raw, -2.5 * COUNT * 0.01), (Law::Static, -1e-5)] {

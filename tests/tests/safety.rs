@@ -226,7 +226,7 @@ const INJECTIONS: &[Injection] = &[
 ];
 
 #[test]
-fn every_injected_fault_turns_the_bridge_off_in_time_and_stays_until_it_is_cleared() {
+fn each_fault_is_off_in_time_and_stays() {
     const MOTORS: u64 = 12;
     let table = table();
     for injection in INJECTIONS {
