@@ -13,8 +13,10 @@
 //! round, the drive gets count, speed and torque negated.
 //!
 //! # Speed
-//! The drive's speed is the counts of the last 16 PWM periods (32 of a voltage drive) over their time: the mean over that
-//! window W, which is the speed W/2 ago, 1/3 ms (2/3 ms), and wrong by up to one count per window.
+//! The drive's speed is the counts of the last W PWM periods, less one towards 0, over their time: what the knob surely
+//! had in the mean over that window, W/2 ago, and less than that by up to two counts in it. So what is made up for of the
+//! back-EMF is never more than there was, and a knob that creeps from count to count is not pushed on. W is 16 to 128 and
+//! depends on the motor; 32 with a voltage drive. What it makes of the torque, [`Power::delivery`] tells the plan.
 
 use control::torque::Measured;
 use protocol::Fault;
@@ -98,11 +100,12 @@ impl<'a> CurrentTick<'a> {
     #[inline]
     fn seen(&self, sensed: &Sensed) -> Seen {
         let power = &self.power;
+        let counts = self.motion.counts_in(power.window);
         Seen {
             currents: power.sense.currents(sensed.currents),
             bus_v: sensed.bus_v,
             moved: self.motion.moved,
-            speed_rad_s: self.motion.counts_in(power.window) as f32 * power.count_speed_rad_s,
+            speed_rad_s: counts.wrapping_sub(counts.signum()) as f32 * power.count_speed_rad_s,
             unexplained_v: power.drive.as_ref().map_or(0.0, MotorDrive::unexplained_v),
             active: !matches!(self.ticker.state(), StateCode::Disarmed | StateCode::Fault),
         }

@@ -21,11 +21,15 @@ use crate::settings::{HIGHEST, MOTOR_HIGHEST, MOTOR_LOWEST};
 /// The part by which resistance and inductance may be off: copper is a third more at 110 °C than at 25 °C.
 pub const TOLERANCE: f64 = 0.3;
 
-/// PWM periods over which the speed is taken, of a drive with a current loop: what a count more or less makes of the
-/// back-EMF stays near a step of the current converter.
-const CURRENT_WINDOW: u32 = 16;
+/// The loops' bandwidth, rad/s times the PWM period.
+const BANDWIDTH: f64 = FASTEST;
 
-/// The same of a voltage drive, which has no loop to make up for it.
+/// The fewest PWM periods over which the speed is taken.
+const LEAST_WINDOW: u32 = 16;
+/// The most.
+pub const MOST_WINDOW: u32 = 128;
+
+/// The same of a voltage drive.
 const VOLTAGE_WINDOW: u32 = 32;
 
 /// A motor's drive.
@@ -64,7 +68,7 @@ impl MotorDrive {
         let current_max_a =
             f64::from(motor.current_max_a).min(guard::largest_current_a(motor, stage));
         let asked = LoopConfig {
-            bandwidth_rad_s: FASTEST / stage.pwm_period_s,
+            bandwidth_rad_s: BANDWIDTH / stage.pwm_period_s,
             current_max_a,
             tolerance: TOLERANCE,
         };
@@ -200,9 +204,6 @@ pub struct Power {
     pub limits: Limits,
 }
 
-/// The longest window of the speed.
-pub const MOST_WINDOW: u32 = VOLTAGE_WINDOW;
-
 impl Power {
     /// For a haptic tick in every `every`-th PWM period and a knob of at most `speed_max_rad_s`.
     ///
@@ -216,10 +217,7 @@ impl Power {
         stage: &StageFacts,
     ) -> Result<Self, Refusal> {
         let drive = MotorDrive::new(motor, counts_per_rev, stage)?;
-        let window = match drive {
-            Some(MotorDrive::Voltage(_)) => VOLTAGE_WINDOW,
-            _ => CURRENT_WINDOW,
-        };
+        let window = window(motor, counts_per_rev, stage);
         let offsets = [motor.offset_b_codes, motor.offset_c_codes].map(f64::from);
         let window_s = f64::from(window) * stage.pwm_period_s;
         Ok(Self {
@@ -231,22 +229,70 @@ impl Power {
             reversed: motor.reversed,
             window,
             count_speed_rad_s: (TAU / f64::from(counts_per_rev) / window_s) as f32,
-            limits: Limits::new(motor, counts_per_rev, speed_max_rad_s, window, stage),
+            limits: Limits::new(motor, counts_per_rev, speed_max_rad_s, stage),
         })
     }
 
-    /// What a governor must know of the torque: the drive's own, and of a voltage drive the torque that comes of a speed
-    /// wrong by a count, which no loop takes back.
+    /// What a governor must know of the torque on a knob of at least `inertia_kg_m2`: the drive's own, and what a speed
+    /// that is coarse and late makes of it.
+    ///
+    /// A count more or less in the window W is a step of the back-EMF, k_e·Δ/W. A loop with the gain K_p ≥ ω_c·L takes it
+    /// back, but begins with k/K_p of it: torque that is not as commanded, which goes to the step.
+    ///
+    /// What of the back-EMF is made up for comes D = W/2 + 1½ periods late. The windings of a voltage drive make a drag of
+    /// what is not. A loop answers with s/((L s + R)(s + ω_c)) of it, and the torque along the speed is
+    /// −k·k_e·D/(R·ω_c)·ω² at a frequency ω. A spring m·ω² with a lag τ has −m·ω²·τ: it is as much as a lag of
+    /// k·k_e·D/(R·ω_c·m).
     #[must_use]
-    pub fn delivery(&self, motor: &Motor) -> Option<Delivery> {
+    pub fn delivery(
+        &self,
+        motor: &Motor,
+        stage: &StageFacts,
+        inertia_kg_m2: f64,
+    ) -> Option<Delivery> {
         let drive = self.drive.as_ref()?;
         let mut delivery = drive.delivery();
+        let constant = f64::from(motor.torque_constant_nm_a);
+        let resistance_ohm = f64::from(motor.resistance_ohm);
         if let MotorDrive::Voltage(_) = drive {
-            let constant = f64::from(motor.torque_constant_nm_a);
-            // k·(k/1.5)/R of it: the back-EMF in q is the flux' p ψ.
-            delivery.torque_step_nm += constant * constant / 1.5 / f64::from(motor.resistance_ohm)
-                * f64::from(self.count_speed_rad_s);
+            return Some(delivery);
         }
+        let count_v = back_emf_v_s(motor) * f64::from(self.count_speed_rad_s);
+        delivery.torque_step_nm += constant * count_v / least_gain_v_a(motor, stage);
+        let late_s = (0.5 * f64::from(self.window) + 1.5) * stage.pwm_period_s;
+        let bandwidth_rad_s = BANDWIDTH / stage.pwm_period_s;
+        delivery.tau_s += constant * back_emf_v_s(motor) * late_s
+            / (resistance_ohm * bandwidth_rad_s * inertia_kg_m2);
         Some(delivery)
     }
+}
+
+/// The back-EMF along q, or of a brushed motor, V per rad/s of the shaft.
+fn back_emf_v_s(motor: &Motor) -> f64 {
+    let constant = f64::from(motor.torque_constant_nm_a);
+    match motor.drive {
+        Drive::Brushed => constant,
+        Drive::None | Drive::Current | Drive::Voltage => constant / 1.5,
+    }
+}
+
+/// ω_c·L, which the loop's gain is at least, V/A.
+fn least_gain_v_a(motor: &Motor, stage: &StageFacts) -> f64 {
+    let inductance_h = match motor.drive {
+        Drive::Brushed => motor.d_inductance_h,
+        Drive::None | Drive::Current | Drive::Voltage => motor.q_inductance_h,
+    };
+    BANDWIDTH / stage.pwm_period_s * f64::from(inductance_h)
+}
+
+/// How many PWM periods the speed is taken over. With a loop, so many that a count more or less makes no more current
+/// than a step of the converter.
+fn window(motor: &Motor, counts_per_rev: u32, stage: &StageFacts) -> u32 {
+    if motor.drive == Drive::Voltage {
+        return VOLTAGE_WINDOW;
+    }
+    let count_speed_rad_s = TAU / f64::from(counts_per_rev) / stage.pwm_period_s;
+    let current_a = back_emf_v_s(motor) * count_speed_rad_s / least_gain_v_a(motor, stage);
+    let periods = current_a / stage.current_step_a + 1.0;
+    (periods as u32).clamp(LEAST_WINDOW, MOST_WINDOW)
 }

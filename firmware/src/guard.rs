@@ -10,7 +10,7 @@
 //! | B + C of a brushed motor | 2 A and 15 % of that | [`SUM_PERIODS`] |
 //! | bus voltage too high, too low | the stage's limits | [`HIGH_PERIODS`], [`LOW_PERIODS`] |
 //! | the count in one period | twice the way at the largest speed, and 2 | 1 |
-//! | the count in the speed's window | the way at the largest speed, and 1 | 1 |
+//! | the speed of its window, a count less | the largest | 1 |
 //! | voltage that the motor's equation does not explain | [`Limits::unexplained_v`] | [`BLIND_PERIODS`], counted down where it is explained |
 //! | mean current while the bridge is off | [`OFFSET_A`] | |
 //!
@@ -64,7 +64,7 @@ pub struct Limits {
     pub bus_most_v: f32,
     /// The most counts in one period.
     pub jump_counts: u32,
-    /// The largest speed, rad/s, and a count in its window.
+    /// The largest speed, rad/s.
     pub speed_rad_s: f32,
     /// What the drive may need beyond the motor's equation at rest, V.
     pub unexplained_v: f32,
@@ -75,13 +75,12 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// For a motor and an encoder of checked values, whose speed is the mean over `window` periods.
+    /// For a motor and an encoder of checked values.
     #[must_use]
     pub fn new(
         motor: &Motor,
         counts_per_rev: u32,
         speed_max_rad_s: f32,
-        window: u32,
         stage: &StageFacts,
     ) -> Self {
         let count_rad = core::f64::consts::TAU / f64::from(counts_per_rev);
@@ -102,7 +101,7 @@ impl Limits {
             bus_least_v: stage.bus_least_v as f32,
             bus_most_v: stage.bus_most_v as f32,
             jump_counts: (2.0 * way_counts) as u32 + 2,
-            speed_rad_s: (speed + count_rad / (f64::from(window) * stage.pwm_period_s)) as f32,
+            speed_rad_s: speed_max_rad_s,
             unexplained_v: (UNEXPLAINED_V + UNEXPLAINED_A * resistance) as f32,
             unexplained_v_s_rad: (EMF_SPREAD * emf) as f32,
             calibrated: motor.drive != Drive::None,

@@ -9,6 +9,7 @@
 //! - [`power`]: what a power stage and the firmware hand each other;
 //! - [`settings`]: parameters as they come over the wire, checked and made into a plan;
 //! - [`store`]: settings that survive, in two sectors of flash;
+//! - [`odrive_v3`]: the motor-driver board, up to its registers;
 //! - [`board`]: what a board owes the two; the boards themselves lie in `src/board/`.
 //!
 //! The ticker and the desk share a [`Link`] and two queues of `heapless`; neither ever waits for the
@@ -21,6 +22,7 @@ pub mod current_tick;
 pub mod desk;
 pub mod drive;
 pub mod guard;
+pub mod odrive_v3;
 pub mod power;
 pub mod settings;
 pub mod store;

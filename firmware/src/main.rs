@@ -12,12 +12,19 @@ mod application;
 #[path = "board/emulated.rs"]
 mod board;
 
-#[cfg(all(target_os = "none", feature = "emulated-drive"))]
+#[cfg(all(
+    target_os = "none",
+    any(feature = "emulated-drive", feature = "odrive-v3")
+))]
 #[path = "app/power_stage.rs"]
 mod application;
 
 #[cfg(all(target_os = "none", feature = "emulated-drive"))]
 #[path = "board/emulated_drive.rs"]
+mod board;
+
+#[cfg(all(target_os = "none", feature = "odrive-v3"))]
+#[path = "board/odrive_v3.rs"]
 mod board;
 
 #[cfg(not(target_os = "none"))]

@@ -267,7 +267,9 @@ pub fn settle(settings: &Settings, board: &BoardKind) -> Result<Settled, Refusal
             stage,
         )?;
         config.timing.period_s = f64::from(every) * stage.pwm_period_s;
-        if let Some(delivery) = made.delivery(&settings.motor) {
+        if let Some(delivery) =
+            made.delivery(&settings.motor, stage, config.believed.inertia_kg_m2.low)
+        {
             delay_s = delivery.delay_s;
             config.timing.delay_s += delay_s;
             config.timing.amplifier_tau_s += delivery.tau_s;

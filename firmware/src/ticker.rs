@@ -250,14 +250,14 @@ impl<'a> Ticker<'a> {
         }
         let tick = self.controller.tick(count.cast_unsigned(), elapsed_s);
         let mut torque_nm = 0.0;
-        let fault = match watch.found.or(self.barred.take()) {
-            None if self.status.state == StateCode::Armed => {
-                fault_in(&tick, self.furthest_counts, false)
-                    .map(|fault| self.of_many_periods(fault))
-                    .or(slow)
-            }
-            fault => fault,
-        };
+        let mut fault = watch.found.or(self.barred.take());
+        if fault.is_none() && self.status.state == StateCode::Armed {
+            fault = fault_in(&tick, self.furthest_counts, false)
+                .map(|fault| self.of_many_periods(fault));
+        }
+        if fault.is_none() && self.status.state != StateCode::Disarmed {
+            fault = slow;
+        }
         match fault {
             None if self.status.state == StateCode::Armed => torque_nm = tick.torque_nm,
             Some(fault) if self.status.state != StateCode::Fault => {

@@ -363,18 +363,21 @@ fn size_and_cost_are_what_they_were() {
 
 #[test]
 fn the_tick_calls_no_panicking_code() {
-    let image = Image::load(&Rig::image());
-    let reached = image.reached_from(image.function(&["TIM2"]).0);
-    assert!(
-        reached.iter().any(|name| name.contains("4tick")),
-        "{reached:?}"
-    );
-    let panics: Vec<_> = reached
-        .iter()
-        .filter(|name| name.contains("panic") || name.contains("unwrap"))
-        .collect();
-    assert!(panics.is_empty(), "the tick can reach {panics:?}");
-    // The walk would find a panic: init has one.
-    let init = image.reached_from(image.function(&["main"]).0);
-    assert!(init.iter().any(|name| name.contains("panic")), "{init:?}");
+    let odrive = Rig::image().with_file_name("odrive_v3.elf");
+    for (path, interrupt) in [(Rig::image(), "TIM2"), (odrive, "ADC")] {
+        let image = Image::load(&path);
+        let reached = image.reached_from(image.functions[interrupt].0);
+        assert!(
+            reached.iter().any(|name| name.contains("4tick")),
+            "{reached:?}"
+        );
+        let panics: Vec<_> = reached
+            .iter()
+            .filter(|name| name.contains("panic") || name.contains("unwrap"))
+            .collect();
+        assert!(panics.is_empty(), "{interrupt} can reach {panics:?}");
+        // The walk would find a panic: init has one.
+        let init = image.reached_from(image.function(&["main"]).0);
+        assert!(init.iter().any(|name| name.contains("panic")), "{init:?}");
+    }
 }

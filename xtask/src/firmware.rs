@@ -51,14 +51,15 @@ fn has_target() -> bool {
     output.is_ok_and(|output| Path::new(String::from_utf8_lossy(&output.stdout).trim()).is_dir())
 }
 
-/// Builds the firmware for the emulated boards, and once more with the ledger that looks four
-/// ticks back.
+/// Builds the firmware for the emulated boards, once more with the ledger that looks four ticks back, and for the
+/// motor-driver board.
 pub fn build() -> Result<()> {
     let way = way()?;
     for (features, name) in [
         ("emulator,four-ticks-back", "emulated-four-ticks-back"),
         ("emulator", "emulated"),
         ("emulated-drive", "emulated_drive"),
+        ("odrive-v3", "odrive_v3"),
     ] {
         build_image(&way, features, name)?;
     }

@@ -20,7 +20,7 @@ use tools::{cargo, run};
 enum Task {
     /// Install what is missing for everything below, and say what
     Setup,
-    /// Build the firmware for the emulated board, to target/firmware/emulated.elf
+    /// Build the firmware for every board, to target/firmware/
     Firmware,
     /// Run the firmware in the emulator against the exact plant, and tell what happens
     Demo {

@@ -364,7 +364,6 @@ impl Rig {
                 &told,
                 changes.counts_per_rev.expect("counts"),
                 changes.speed_max_rad_s.expect("a speed"),
-                16,
                 &ODRIVE_V3_24V,
             ),
             motor: told,
