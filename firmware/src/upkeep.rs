@@ -12,6 +12,9 @@ use crate::Link;
 use crate::board::Housekeeping;
 use crate::ticker::StateCode;
 
+/// PWM periods from one run to the next: 20 ms at 24 kHz. Without current ticks there is none.
+pub const PERIODS: u32 = 480;
+
 /// Above this temperature of the switches torque goes to zero, °C. What the maker's firmware takes for the end of
 /// full current.
 pub const HOTTEST_C: f32 = 100.0;

@@ -156,23 +156,6 @@ impl Chip {
 }
 
 #[test]
-fn a_panic_and_a_hard_fault_put_the_bridge_off_first() {
-    for order in [Order::Panic, Order::HardFault] {
-        let mut chip = Chip::armed();
-        let sensed = chip.bench.knob.sensed();
-        let around = chip.bench.around;
-        let report = chip
-            .bench
-            .emulator
-            .exchange(order, &sensed, &around)
-            .unwrap();
-        assert_eq!(report.duties, None, "{order:?}");
-        // It says nothing more, and runs no more.
-        assert!(chip.bench.period().is_err(), "{order:?}");
-    }
-}
-
-#[test]
 fn the_gate_drivers_line_puts_the_bridge_off_without_a_current_tick() {
     let mut chip = Chip::armed();
     let sensed = chip.bench.knob.sensed();

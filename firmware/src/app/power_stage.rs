@@ -9,7 +9,7 @@ mod app {
     use firmware::settings::{self, BoardKind};
     use firmware::store::Keep;
     use firmware::ticker::Ticker;
-    use firmware::upkeep::Upkeep;
+    use firmware::upkeep::{PERIODS, Upkeep};
     use firmware::{Commands, Link, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
@@ -19,9 +19,6 @@ mod app {
     /// Bytes from the host that the desk has not read yet.
     type Bytes = Queue<u8, BYTES>;
     const BYTES: usize = 512;
-
-    /// PWM periods from one slow task to the next: 20 ms. Without current ticks there is none.
-    const SLOW: u32 = 480;
 
     #[shared]
     struct Shared {}
@@ -103,7 +100,7 @@ mod app {
                 rest,
                 stage,
                 current,
-                slow_in: SLOW,
+                slow_in: PERIODS,
                 housekeeper,
                 upkeep: Upkeep::new(link),
                 serial_in,
@@ -137,7 +134,7 @@ mod app {
             rtic::pend(Interrupt::EXTI0);
         }
         if *cx.local.slow_in <= 1 {
-            *cx.local.slow_in = SLOW;
+            *cx.local.slow_in = PERIODS;
             rtic::pend(Interrupt::EXTI1);
         } else {
             *cx.local.slow_in -= 1;

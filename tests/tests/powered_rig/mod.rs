@@ -13,7 +13,7 @@ use firmware::power::{Bridge, ODRIVE_V3_24V, Sensed};
 use firmware::settings::{self, BoardKind};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
-use firmware::upkeep::Upkeep;
+use firmware::upkeep::{PERIODS, Upkeep};
 use firmware::{Commands, Link, Records};
 use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding};
 use plant_sim::hand::Hand;
@@ -24,9 +24,6 @@ use protocol::{
     Changes, Drive, Fields, Frames, Interval, Law, Message, Motor, MotorChanges, Refusal, Request,
     ResetReason, Snapshot, State, Status, Subscription,
 };
-
-/// PWM periods from one run of the slow task to the next.
-const SLOW: u32 = 480;
 
 /// Random numbers.
 pub struct Random(u64);
@@ -375,7 +372,7 @@ impl Rig {
             asked: 0,
             answered: None,
             ticks: 0,
-            slow_in: SLOW,
+            slow_in: PERIODS,
             commanded_nm: 0.0,
             loudest_nm: 0.0,
             overran: false,
@@ -486,7 +483,7 @@ impl Rig {
         }
         self.slow_in -= 1;
         if self.slow_in == 0 {
-            self.slow_in = SLOW;
+            self.slow_in = PERIODS;
             if self.slow_runs {
                 self.upkeep.run(&mut self.board);
             }
