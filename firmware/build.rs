@@ -1,4 +1,4 @@
-//! Hands the linker its scripts, and the program the hash of its source.
+//! Hands the linker its scripts, the program the hash of its source, and the image the name of its board.
 //!
 //! The scripts go from here and not through `rustflags` in `.cargo/config.toml`, because a
 //! RUSTFLAGS in the environment would silently replace those.
@@ -31,4 +31,21 @@ fn main() {
     println!("cargo:rustc-link-arg-bins=-Tlink.x"); // cortex-m-rt
     println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
     println!("cargo:rustc-link-arg-bins=--nmagic"); // sections need not lie on pages
+    // A symbol that takes no room, by which `knob flash` knows which board an image is for.
+    println!(
+        "cargo:rustc-link-arg-bins=--defsym=knob_board_{}=0",
+        board()
+    );
+}
+
+/// The board, as `src/main.rs` chooses it.
+fn board() -> &'static str {
+    let on = |feature| env::var_os(format!("CARGO_FEATURE_{feature}")).is_some();
+    if on("ODRIVE_V3") {
+        "odrive_v3"
+    } else if on("EMULATED_DRIVE") {
+        "emulated_drive"
+    } else {
+        "emulated"
+    }
 }

@@ -12,7 +12,7 @@ use firmware::settings::{self, BoardKind, NO_MOTOR};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
 use firmware::upkeep::{PERIODS, Upkeep};
-use firmware::{Commands, Link, Records};
+use firmware::{Commands, Link, Moves, Records};
 use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding};
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
@@ -52,6 +52,7 @@ impl<K: Keep> PoweredTwin<K> {
         let link: &'static Link = Box::leak(Box::new(Link::new()));
         let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
         let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
+        let (move_sender, move_receiver) = Box::leak(Box::new(Moves::new())).split();
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
             git_hash,
@@ -66,6 +67,7 @@ impl<K: Keep> PoweredTwin<K> {
             link,
             command_receiver,
             record_sender,
+            move_sender,
         );
         let power = start.settled.power.expect("a stage has settings");
         Self {
@@ -79,6 +81,7 @@ impl<K: Keep> PoweredTwin<K> {
                 link,
                 command_sender,
                 record_receiver,
+                move_receiver,
             ),
             inbox: VecDeque::new(),
             outbox: Vec::new(),

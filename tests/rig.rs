@@ -143,7 +143,11 @@ impl Rig {
         for _ in 0..10 {
             let mine = |answer: &Answer| {
                 answer.read(|got, message| {
-                    got == sequence && !matches!(message, Message::Telemetry(_) | Message::Event(_))
+                    got == sequence
+                        && !matches!(
+                            message,
+                            Message::Telemetry(_) | Message::Event(_) | Message::Moves(_)
+                        )
                 })
             };
             if let Some(place) = self.waiting.iter().position(mine) {

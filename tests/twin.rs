@@ -4,7 +4,7 @@ use firmware::desk::{Desk, Identity};
 use firmware::settings::{self, BoardKind};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
-use firmware::{Commands, Link, Records};
+use firmware::{Commands, Link, Moves, Records};
 use protocol::{FRAME_MAX, Frames, FromDevice, Message, Request, ToDevice, decode, encode};
 
 /// As the emulated board.
@@ -35,6 +35,7 @@ impl<K: Keep> Twin<K> {
         let link: &'static Link = Box::leak(Box::new(Link::new()));
         let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
         let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
+        let (move_sender, move_receiver) = Box::leak(Box::new(Moves::new())).split();
         let start = settings::start(&store.load(), &KIND).expect("the defaults settle");
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
@@ -50,6 +51,7 @@ impl<K: Keep> Twin<K> {
                 link,
                 command_receiver,
                 record_sender,
+                move_sender,
             ),
             desk: Desk::new(
                 identity,
@@ -58,6 +60,7 @@ impl<K: Keep> Twin<K> {
                 link,
                 command_sender,
                 record_receiver,
+                move_receiver,
             ),
             inbox: VecDeque::new(),
             outbox: Vec::new(),

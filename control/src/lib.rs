@@ -10,6 +10,7 @@
 //! - [`ledger`]: the energy ledger; [`tuning`]: its constants and parts;
 //! - [`config`] and [`plan`]: what a controller is told, and what it makes of that;
 //! - [`tick`]: the tick that joins them, under the laws raw, static, episode, ledger and auto;
+//! - [`push`]: a torque without a spring, from which a knob is identified;
 //! - [`torque`]: from a torque to the duties of an inverter, and what that leaves for the margin;
 //! - [`root`] and [`sine`]: of + × ÷ alone.
 //!
@@ -29,6 +30,7 @@ pub mod ledger;
 pub mod margin;
 pub mod motion;
 pub mod plan;
+pub mod push;
 mod real;
 pub mod root;
 pub mod shape;

@@ -216,6 +216,12 @@ impl Controller {
         self.encoder.hardware_count()
     }
 
+    /// The decimated count at the last tick.
+    #[must_use]
+    pub fn count(&self) -> i32 {
+        self.encoder.count()
+    }
+
     /// Where the counts say that the knob is and how fast, as of the last tick; none where the
     /// law in force does not follow it.
     #[must_use]

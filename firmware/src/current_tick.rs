@@ -125,7 +125,8 @@ impl<'a> CurrentTick<'a> {
         let Some(drive) = &mut self.power.drive else {
             return Bridge::Off;
         };
-        if self.ticker.state() != StateCode::Armed || self.fault.is_some() {
+        let on = matches!(self.ticker.state(), StateCode::Armed | StateCode::Pushing);
+        if !on || self.fault.is_some() {
             drive.clear();
             return Bridge::Off;
         }

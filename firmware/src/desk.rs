@@ -7,14 +7,14 @@ use control::config::Law;
 use control::tick::Reason;
 use protocol::{
     Changes, ClampReason, Drive, Event, FRAME_MAX, Fault, Fields, Frames, FromDevice, Hello,
-    Message, MotorChanges, Name, Refusal, Request, ResetReason, State, Status, Stored,
-    Subscription, Telemetry, ToDevice, VERSION, decode, encode,
+    MOVES_MAX, Message, MotorChanges, Moves, Name, Refusal, Request, ResetReason, State, Status,
+    Stored, Subscription, Telemetry, ToDevice, VERSION, decode, encode,
 };
 
 use crate::settings::{self, BoardKind, DEFAULT_SETTINGS, HIGHEST, LOWEST, Settings, Start};
 use crate::store::{Keep, SaveError};
 use crate::ticker::{Command, Occasion, Record, StateCode};
-use crate::{CommandSender, Link, RecordReceiver};
+use crate::{CommandSender, Link, MoveReceiver, RecordReceiver};
 
 /// Who this is.
 #[derive(Debug, Clone, Copy)]
@@ -47,6 +47,23 @@ struct Pending {
     save: bool,
 }
 
+/// Which request began the last push.
+#[derive(Debug, Clone, Copy)]
+struct Pushed {
+    sequence: u16,
+    /// The tick that took it, once one has.
+    tick: Option<u32>,
+}
+
+/// How far the host was told of a push.
+#[derive(Debug, Clone, Copy)]
+struct Telling {
+    /// The tick of the push that is told next.
+    first: u32,
+    /// The count before it.
+    from: i32,
+}
+
 /// The desk, and all that it owns.
 pub struct Desk<'a, K> {
     identity: Identity,
@@ -59,6 +76,9 @@ pub struct Desk<'a, K> {
     pending: Option<Pending>,
     /// The request to leave a fault that waits for the gate driver's restart.
     clearing: Option<u16>,
+    /// As long as the request may come again.
+    pushed: Option<Pushed>,
+    telling: Option<Telling>,
     frames: Frames,
     bad_frames: u32,
     /// Drops that the host has been told of.
@@ -67,6 +87,7 @@ pub struct Desk<'a, K> {
     link: &'a Link,
     commands: CommandSender<'a>,
     records: RecordReceiver<'a>,
+    moves: MoveReceiver<'a>,
 }
 
 impl<'a, K: Keep> Desk<'a, K> {
@@ -79,6 +100,7 @@ impl<'a, K: Keep> Desk<'a, K> {
         link: &'a Link,
         commands: CommandSender<'a>,
         records: RecordReceiver<'a>,
+        moves: MoveReceiver<'a>,
     ) -> Self {
         Self {
             identity,
@@ -89,6 +111,8 @@ impl<'a, K: Keep> Desk<'a, K> {
             subscription: Subscription::default(),
             pending: None,
             clearing: None,
+            pushed: None,
+            telling: None,
             frames: Frames::new(),
             bad_frames: 0,
             dropped_told: 0,
@@ -96,6 +120,7 @@ impl<'a, K: Keep> Desk<'a, K> {
             link,
             commands,
             records,
+            moves,
         }
     }
 
@@ -130,6 +155,7 @@ impl<'a, K: Keep> Desk<'a, K> {
             };
             self.tell(&record, &mut write);
         }
+        self.tell_moves(&mut write);
         let dropped = self.link.dropped.load(Relaxed);
         if dropped != self.dropped_told {
             self.dropped_told = dropped;
@@ -172,10 +198,22 @@ impl<'a, K: Keep> Desk<'a, K> {
             return;
         }
         self.pending = None;
+        let began = self.pushed.filter(|push| push.sequence == pending.sequence);
         let message = if status.refused {
+            self.pushed = None;
             Message::Refused(Refusal::State(self.state_of(status.state)))
         } else {
             self.settings = pending.settings;
+            if let Some(push) = began {
+                self.pushed = Some(Pushed {
+                    tick: Some(self.link.taken_at.load(Relaxed)),
+                    ..push
+                });
+                self.telling = Some(Telling {
+                    first: 0,
+                    from: self.link.push_from.load(Relaxed).cast_signed(),
+                });
+            }
             match if pending.save { self.save() } else { Ok(()) } {
                 Ok(()) => Message::Done {
                     tick: self.link.taken_at.load(Relaxed),
@@ -187,6 +225,9 @@ impl<'a, K: Keep> Desk<'a, K> {
     }
 
     fn handle(&mut self, sequence: u16, request: &Request, write: &mut impl FnMut(&[u8])) {
+        if !matches!(request, Request::Push(_)) {
+            self.pushed = None;
+        }
         let answer = match request {
             Request::Hello { version } if *version == VERSION => Message::Hello(Hello {
                 version: VERSION,
@@ -267,7 +308,25 @@ impl<'a, K: Keep> Desk<'a, K> {
             },
             Request::LastFault => Message::Snapshot(self.link.snapshot()),
             Request::Calibrate(_) => Message::Refused(Refusal::NoPowerStage),
-            Request::Push(_) => Message::Refused(Refusal::Push),
+            Request::Push(_) if self.without_motor() => Message::Refused(Refusal::NoMotor),
+            Request::Push(push) => match (self.pushed, self.push(push)) {
+                // Its answer was lost.
+                (
+                    Some(Pushed {
+                        sequence: of,
+                        tick: Some(tick),
+                    }),
+                    _,
+                ) if of == sequence => Message::Done { tick },
+                (_, Ok(command)) => {
+                    self.pushed = Some(Pushed {
+                        sequence,
+                        tick: None,
+                    });
+                    return self.command(sequence, command, self.settings, false, write);
+                }
+                (_, Err(refusal)) => Message::Refused(refusal),
+            },
         };
         send(sequence, answer, write);
     }
@@ -361,6 +420,16 @@ impl<'a, K: Keep> Desk<'a, K> {
         }
     }
 
+    /// What begins a push.
+    fn push(&self, push: &protocol::Push) -> Result<Command, Refusal> {
+        match self.state() {
+            // The host has not been told all of the last one.
+            State::Disarmed if self.telling.is_some() => Err(Refusal::State(State::Pushing)),
+            State::Disarmed => settings::push(push, &self.settings.parameters).map(Command::Push),
+            state => Err(Refusal::State(state)),
+        }
+    }
+
     /// Hands a command to the tick; it is answered when the tick has taken it.
     fn command(
         &mut self,
@@ -390,7 +459,7 @@ impl<'a, K: Keep> Desk<'a, K> {
 
     fn tell(&mut self, record: &Record, write: &mut impl FnMut(&[u8])) {
         let tick = &record.tick;
-        let armed = record.state == StateCode::Armed;
+        let gives_torque = matches!(record.state, StateCode::Armed | StateCode::Pushing);
         let message = match record.occasion {
             Occasion::Fault(fault) => Message::Event(Event::Fault {
                 tick: record.number,
@@ -407,7 +476,7 @@ impl<'a, K: Keep> Desk<'a, K> {
                     tick: record.number,
                     state: self.state_of(record.state),
                     count: wanted.has(Fields::COUNT).then_some(tick.count),
-                    torque_nm: wanted.has(Fields::TORQUE).then_some(if armed {
+                    torque_nm: wanted.has(Fields::TORQUE).then_some(if gives_torque {
                         tick.torque_nm
                     } else {
                         0.0
@@ -428,6 +497,46 @@ impl<'a, K: Keep> Desk<'a, K> {
             }
         };
         self.send_unasked(message, write);
+    }
+
+    /// How a push goes on: a full frame where there is one, and what is left of a push that is over.
+    fn tell_moves(&mut self, write: &mut impl FnMut(&[u8])) {
+        let Some(Telling { first, from }) = self.telling else {
+            return;
+        };
+        // Looked up before the queue is: once it is there, nothing is added.
+        let end = self.link.push_end();
+        if end.is_none() && self.moves.len() < MOVES_MAX / 2 {
+            return;
+        }
+        let mut bytes = [0; MOVES_MAX];
+        let (mut ticks, mut count) = (0, from);
+        let (pairs, _) = bytes.as_chunks_mut();
+        for pair in pairs {
+            let Some(moved) = self.moves.dequeue() else {
+                break;
+            };
+            *pair = moved.to_le_bytes();
+            count = count.wrapping_add(i32::from(moved));
+            ticks += 1;
+        }
+        let end = end.filter(|_| !self.moves.ready());
+        let released = self.link.push_released.load(Relaxed);
+        let moves = Moves {
+            first,
+            from,
+            released: (released != u32::MAX).then_some(released),
+            end,
+            moves: bytes.get(..2 * ticks).unwrap_or_default(),
+        };
+        self.send_unasked(Message::Moves(moves), write);
+        self.telling = match end {
+            Some(_) => None,
+            None => Some(Telling {
+                first: first.wrapping_add(ticks as u32),
+                from: count,
+            }),
+        };
     }
 
     fn send_unasked(&mut self, message: Message<'_>, write: &mut impl FnMut(&[u8])) {

@@ -12,7 +12,7 @@
 //! - [`odrive_v3`]: the motor-driver board, up to its registers;
 //! - [`board`]: what a board owes the two; the boards themselves lie in `src/board/`.
 //!
-//! The ticker and the desk share a [`Link`] and two queues of `heapless`; neither ever waits for the
+//! The ticker and the desk share a [`Link`] and three queues of `heapless`; neither ever waits for the
 //! other. `docs/firmware.md` draws it.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
@@ -33,16 +33,21 @@ use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use control::tick::Tick;
 use heapless::spsc::{Consumer, Producer, Queue};
-use protocol::{Fault, Snapshot};
+use protocol::{Fault, PushEnd, Snapshot};
 use ticker::{Command, Record, StateCode, Stood};
 
 const COMMANDS: usize = 2;
 const RECORDS: usize = 64;
+/// At 4 kHz and 115,200 baud a frame is on the line for 90 ticks.
+const MOVES: usize = 256;
 
 /// Commands on their way to the tick: the desk sends the next when the last was taken.
 pub type Commands = Queue<Command, COMMANDS>;
 /// What the tick has to tell, on its way to the desk.
 pub type Records = Queue<Record, RECORDS>;
+
+/// By how much each tick of a push found the count moved, on its way to the desk.
+pub type Moves = Queue<i16, MOVES>;
 
 /// The desk's end of [`Commands`].
 pub type CommandSender<'a> = Producer<'a, Command, COMMANDS>;
@@ -52,6 +57,10 @@ pub type CommandReceiver<'a> = Consumer<'a, Command, COMMANDS>;
 pub type RecordSender<'a> = Producer<'a, Record, RECORDS>;
 /// The desk's end of [`Records`].
 pub type RecordReceiver<'a> = Consumer<'a, Record, RECORDS>;
+/// The tick's end of [`Moves`].
+pub type MoveSender<'a> = Producer<'a, i16, MOVES>;
+/// The desk's end of [`Moves`].
+pub type MoveReceiver<'a> = Consumer<'a, i16, MOVES>;
 
 /// What the tick and the desk tell each other without a queue: single words, each written
 /// by one of them.
@@ -82,6 +91,12 @@ pub struct Link {
     restarts_asked: AtomicU32,
     /// By the slow task: how many of these are done.
     restarts_done: AtomicU32,
+    /// By the tick: how the last push ended; 0: it did not yet.
+    push_end: AtomicU32,
+    /// By the tick: the first tick of the last push without torque; `u32::MAX`: there was none yet.
+    push_released: AtomicU32,
+    /// By the tick: the count before the last push.
+    push_from: AtomicU32,
     /// By the desk: one record every so many ticks; 0: none.
     every_ticks: AtomicU32,
     /// By the desk: 1 if changes of the clamp's reason are wanted.
@@ -118,6 +133,9 @@ impl Link {
             desk_runs: AtomicU32::new(0),
             restarts_asked: AtomicU32::new(0),
             restarts_done: AtomicU32::new(0),
+            push_end: AtomicU32::new(0),
+            push_released: AtomicU32::new(0),
+            push_from: AtomicU32::new(0),
             every_ticks: AtomicU32::new(0),
             clamp_events: AtomicU32::new(0),
         }
@@ -223,6 +241,35 @@ impl Link {
                 return Some(snapshot);
             }
             faults = now;
+        }
+    }
+
+    fn begin_push(&self, from: i32) {
+        self.push_from.store(from.cast_unsigned(), Relaxed);
+        self.push_released.store(u32::MAX, Relaxed);
+        self.push_end.store(0, Relaxed);
+    }
+
+    fn end_push(&self, end: PushEnd) {
+        let code = match end {
+            PushEnd::Rest => 1,
+            PushEnd::InMotion => 2,
+            PushEnd::BrokenOff => 3,
+            PushEnd::Fault => 4,
+            PushEnd::NoRoom => 5,
+        };
+        self.push_end.store(code, Relaxed);
+    }
+
+    /// How the last push ended, if it did. All its moves are in the queue by then.
+    fn push_end(&self) -> Option<PushEnd> {
+        match self.push_end.load(Relaxed) {
+            0 => None,
+            1 => Some(PushEnd::Rest),
+            2 => Some(PushEnd::InMotion),
+            3 => Some(PushEnd::BrokenOff),
+            4 => Some(PushEnd::Fault),
+            _ => Some(PushEnd::NoRoom),
         }
     }
 

@@ -7,6 +7,7 @@ use control::ConfigError;
 use control::config::{Believed, Config, Interval, Law, Timing};
 use control::encoder::EncoderConfig;
 use control::plan::Plan;
+use control::push::Push;
 use protocol::{Drive, Motor, MotorName, Name, Parameters, Refusal, Shape, Stored};
 
 use crate::drive::Power;
@@ -306,6 +307,54 @@ fn periods(sample_period_s: f32, pwm_period_s: f64) -> Result<u32, Refusal> {
         name: Name::SamplePeriodS,
         lowest: whole(below.max(1)),
         highest: whole(below + 1),
+    })
+}
+
+/// Torque of a push lasts no longer than this, s.
+pub const PUSH_MOST_S: f32 = 10.0;
+
+/// The coast after it lasts no longer than this, s.
+pub const COAST_MOST_S: f32 = 60.0;
+
+/// Checks a push beside the parameters in force.
+///
+/// # Errors
+/// [`Refusal::Push`]: a torque that is no number or beyond `torque_max_nm`; torque or coast that may last longer than
+/// [`PUSH_MOST_S`] or [`COAST_MOST_S`]; a limit in counts, or a rest, of 0.
+pub fn push(given: &protocol::Push, parameters: &Parameters) -> Result<Push, Refusal> {
+    let protocol::Push {
+        from_nm,
+        to_nm,
+        rise_ticks,
+        most_ticks,
+        way_counts,
+        speed_counts,
+        rest_ticks,
+        coast_ticks,
+        guard_counts,
+    } = *given;
+    let seconds = |ticks: u32| ticks as f32 * parameters.sample_period_s;
+    // Written so that NaN fails.
+    let torque = |nm: f32| nm.abs() <= parameters.torque_max_nm;
+    let counts = [way_counts, speed_counts, guard_counts, rest_ticks];
+    let accepted = torque(from_nm)
+        && torque(to_nm)
+        && seconds(most_ticks) <= PUSH_MOST_S
+        && seconds(coast_ticks) <= COAST_MOST_S
+        && counts.iter().all(|counts| *counts > 0);
+    if !accepted {
+        return Err(Refusal::Push);
+    }
+    Ok(Push {
+        from_nm,
+        to_nm,
+        rise_ticks,
+        most_ticks,
+        way_counts,
+        speed_counts,
+        rest_ticks,
+        coast_ticks,
+        guard_counts,
     })
 }
 

@@ -1,21 +1,23 @@
 //! What the tick does: obey at most one command, read the encoder, call [`control`], watch
 //! over the result, and say what there is to say.
 //!
-//! The tick owns the state. Torque is zero in every state but armed:
+//! The tick owns the state. Torque is zero in every state but armed and pushing:
 //!
-//! disarmed → (arm) → armed → (fault) → fault → (clear) → disarmed; armed → (disarm) → disarmed.
+//! disarmed → (arm) → armed → (fault) → fault → (clear) → disarmed; armed → (disarm) → disarmed;
+//! disarmed → (push) → pushing → (it is over, or disarm) → disarmed; pushing → (fault) → fault.
 
 use core::sync::atomic::Ordering::Relaxed;
 
 use control::plan::Plan;
+use control::push::{Push, Pushing, Step};
 use control::tick::{Controller, Reason, Tick};
 use control::torque::sense::PhaseCurrents;
 
-use protocol::Fault;
+use protocol::{Fault, PushEnd};
 
 use crate::drive::Power;
 use crate::guard::Guard;
-use crate::{CommandReceiver, Link, LinkStatus, RecordSender};
+use crate::{CommandReceiver, Link, LinkStatus, MoveSender, RecordSender};
 
 /// What the desk tells the tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,14 +26,16 @@ use crate::{CommandReceiver, Link, LinkStatus, RecordSender};
     reason = "two of them lie in the queue, some 200 bytes each; without an allocator nothing is boxed"
 )]
 pub enum Command {
-    /// Take this plan. Refused while armed if it changes the period, the encoder or the count.
+    /// Take this plan. Refused while armed if it changes the period, the encoder or the count, and while pushing.
     Configure(Settled),
     /// Render; refused in fault.
     Arm,
-    /// No torque; refused in fault.
+    /// No torque; refused in fault. A push is over.
     Disarm,
     /// Leave the fault; refused without one.
     Clear,
+    /// Play this from this tick on; refused unless disarmed. Checked: see [`crate::settings::push`].
+    Push(Push),
 }
 
 /// A checked configuration.
@@ -80,7 +84,7 @@ pub struct Record {
     pub number: u32,
     /// The state after it.
     pub state: StateCode,
-    /// What the controller decided; its torque is given only while armed.
+    /// What the controller decided; its torque is given only while armed. Of a push, the torque is the push's.
     pub tick: Tick,
     /// Stiffness demanded, Nm/rad.
     pub demanded_nm_rad: f32,
@@ -102,7 +106,7 @@ pub enum Occasion {
 /// What a tick has the board do.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Output {
-    /// The torque to give, Nm: finite, and 0 unless armed.
+    /// The torque to give, Nm: finite, and 0 unless armed or pushing.
     pub torque_nm: f32,
     /// The new period, s, where it changed.
     pub period_s: Option<f32>,
@@ -167,9 +171,12 @@ pub struct Ticker<'a> {
     slow_silent_s: f32,
     /// Why arming was refused.
     barred: Option<Fault>,
+    /// What is played while pushing.
+    pushing: Option<Pushing>,
     link: &'a Link,
     commands: CommandReceiver<'a>,
     records: RecordSender<'a>,
+    moves: MoveSender<'a>,
 }
 
 impl<'a> Ticker<'a> {
@@ -181,6 +188,7 @@ impl<'a> Ticker<'a> {
         link: &'a Link,
         commands: CommandReceiver<'a>,
         records: RecordSender<'a>,
+        moves: MoveSender<'a>,
     ) -> Self {
         let status = LinkStatus {
             state: StateCode::Disarmed,
@@ -199,9 +207,11 @@ impl<'a> Ticker<'a> {
             slow_runs: 0,
             slow_silent_s: 0.0,
             barred: None,
+            pushing: None,
             link,
             commands,
             records,
+            moves,
         }
     }
 
@@ -214,13 +224,16 @@ impl<'a> Ticker<'a> {
         if self.commands.ready() {
             period_s = self.obey(None);
         }
-        let tick = self.controller.tick(counter, elapsed_s);
+        let mut tick = self.controller.tick(counter, elapsed_s);
         let mut torque_nm = 0.0;
         if self.status.state == StateCode::Armed {
             match fault_in(&tick, self.furthest_counts, overran) {
                 None => torque_nm = tick.torque_nm,
                 Some(fault) => self.fail(tick, fault, &Stood::default()),
             }
+        } else if self.status.state == StateCode::Pushing {
+            let found = overran.then_some(Fault::Overrun);
+            torque_nm = self.push(&mut tick, found, &Stood::default());
         }
         self.tell(&tick);
         Output {
@@ -248,7 +261,7 @@ impl<'a> Ticker<'a> {
         if self.ramp < 1.0 {
             self.raise(elapsed_s);
         }
-        let tick = self.controller.tick(count.cast_unsigned(), elapsed_s);
+        let mut tick = self.controller.tick(count.cast_unsigned(), elapsed_s);
         let mut torque_nm = 0.0;
         let mut fault = watch.found.or(self.barred.take());
         if fault.is_none() && self.status.state == StateCode::Armed {
@@ -260,6 +273,9 @@ impl<'a> Ticker<'a> {
         }
         match fault {
             None if self.status.state == StateCode::Armed => torque_nm = tick.torque_nm,
+            _ if self.status.state == StateCode::Pushing => {
+                torque_nm = self.push(&mut tick, fault, &watch.stood);
+            }
             Some(fault) if self.status.state != StateCode::Fault => {
                 self.fail(tick, fault, &watch.stood);
             }
@@ -333,6 +349,8 @@ impl<'a> Ticker<'a> {
         let command = self.commands.dequeue()?;
         let mut period_s = None;
         let done = match (command, self.status.state) {
+            // What is played was checked beside the parameters that are in force.
+            (Command::Configure(_), StateCode::Pushing) => false,
             (Command::Configure(settled), state) => {
                 let off = matches!(state, StateCode::Disarmed | StateCode::Fault);
                 match (power, settled.power) {
@@ -359,7 +377,7 @@ impl<'a> Ticker<'a> {
                     false
                 }
             }
-            (Command::Arm, StateCode::Disarmed) if against.arming.is_some() => {
+            (Command::Arm | Command::Push(_), StateCode::Disarmed) if against.arming.is_some() => {
                 self.barred = against.arming;
                 false
             }
@@ -376,16 +394,24 @@ impl<'a> Ticker<'a> {
                 self.status.state = StateCode::Disarmed;
                 true
             }
+            (Command::Push(push), StateCode::Disarmed) => {
+                self.pushing = Some(Pushing::new(push));
+                self.link.begin_push(self.controller.count());
+                self.status.state = StateCode::Pushing;
+                true
+            }
+            (Command::Disarm, StateCode::Pushing) => {
+                self.end_push(PushEnd::BrokenOff);
+                true
+            }
             (Command::Arm, StateCode::Armed) | (Command::Disarm, StateCode::Disarmed) => true,
             (Command::Clear, StateCode::Fault) if against.clearing.is_none() => {
                 self.status.state = StateCode::Disarmed;
                 true
             }
-            (
-                Command::Arm | Command::Disarm,
-                StateCode::Fault | StateCode::Calibrating | StateCode::Pushing,
-            )
-            | (Command::Clear, _) => false,
+            (Command::Arm, StateCode::Fault | StateCode::Calibrating | StateCode::Pushing)
+            | (Command::Disarm, StateCode::Fault | StateCode::Calibrating)
+            | (Command::Clear | Command::Push(_), _) => false,
         };
         let number = self.link.tick.load(Relaxed);
         self.link.taken_at.store(number, Relaxed);
@@ -403,6 +429,53 @@ impl<'a> Ticker<'a> {
         self.status.state = StateCode::Fault;
         self.link.set_status(self.status);
         self.record(tick, Occasion::Fault(fault));
+    }
+
+    /// A tick of a push: the torque to give, Nm. Where the move finds no room, or a fault was `found`, the push is over.
+    #[cold]
+    #[inline(never)]
+    fn push(&mut self, tick: &mut Tick, found: Option<Fault>, stood: &Stood) -> f32 {
+        let Some(pushing) = &mut self.pushing else {
+            return 0.0;
+        };
+        let step = pushing.tick(tick.moved);
+        let released = pushing.released().unwrap_or(u32::MAX);
+        self.link.push_released.store(released, Relaxed);
+        tick.torque_nm = match step {
+            Step::Torque(torque_nm) => torque_nm,
+            _ => 0.0,
+        };
+        let mut fault = found.or(fault_in(tick, self.furthest_counts, false));
+        let mut room = true;
+        match i16::try_from(tick.moved) {
+            Ok(moved) => room = self.moves.enqueue(moved).is_ok(),
+            Err(_) => fault = fault.or(Some(Fault::Guard)),
+        }
+        if step == Step::Beyond {
+            fault = fault.or(Some(Fault::Guard));
+        }
+        let end = match (fault, room, step) {
+            (Some(fault), ..) => {
+                self.fail(*tick, fault, stood);
+                PushEnd::Fault
+            }
+            (None, false, _) => PushEnd::NoRoom,
+            (None, true, Step::Rest) => PushEnd::Rest,
+            (None, true, Step::InMotion) => PushEnd::InMotion,
+            (None, true, _) => return tick.torque_nm,
+        };
+        tick.torque_nm = 0.0;
+        self.end_push(end);
+        0.0
+    }
+
+    fn end_push(&mut self, end: PushEnd) {
+        self.pushing = None;
+        self.link.end_push(end);
+        if self.status.state == StateCode::Pushing {
+            self.status.state = StateCode::Disarmed;
+            self.link.set_status(self.status);
+        }
     }
 
     /// Telemetry where it is due, and changes of the clamp's reason where they are wanted.

@@ -16,7 +16,7 @@ use protocol::{
 
 pub use error::DeviceError;
 use line::{Answer, Line, Said};
-pub use line::{Identity, Unasked};
+pub use line::{Identity, Moved, Unasked};
 
 use crate::stop::{self, Stopped};
 
@@ -121,7 +121,18 @@ impl Device {
 
     /// Has it do something.
     pub fn order(&mut self, request: Request) -> Result<Outcome> {
-        let Answered { answer, repeated } = self.request(request)?;
+        let answered = self.request(request)?;
+        self.outcome(request, answered)
+    }
+
+    /// The same, also after Ctrl-C.
+    pub fn order_to_the_end(&mut self, request: Request) -> Result<Outcome> {
+        let answered = self.exchange(request, ANSWER_WITHIN, CtrlC::Waits)?;
+        self.outcome(request, answered)
+    }
+
+    fn outcome(&mut self, request: Request, answered: Answered) -> Result<Outcome> {
+        let Answered { answer, repeated } = answered;
         match answer {
             Answer::Done { tick } => Ok(Outcome::Done { tick }),
             // The first Clear was taken and its answer was lost.
@@ -177,6 +188,11 @@ impl Device {
             }
             self.line.listen()?;
         }
+    }
+
+    /// Forgets what was sent unasked until now.
+    pub fn forget_unasked(&mut self) {
+        self.unasked.clear();
     }
 
     /// True if messages that were sent unasked are waiting to be read.

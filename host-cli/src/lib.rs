@@ -10,6 +10,7 @@ mod device;
 mod device_list;
 mod emulators;
 pub mod failures;
+mod image;
 mod number;
 mod output;
 mod parameters;
@@ -20,6 +21,7 @@ mod recording;
 pub mod scene;
 mod session;
 mod stop;
+mod terminal;
 mod words;
 
 use std::process::ExitCode;
@@ -68,6 +70,8 @@ enum Command {
     #[command(after_help = "Example:\n  knob get > mine.txt; knob reset-settings")]
     ResetSettings(orders::Args),
     Log(commands::log::Args),
+    Monitor(commands::monitor::Args),
+    Flash(commands::flash::Args),
     Identify(commands::identify::Args),
 }
 
@@ -98,6 +102,8 @@ pub fn run() -> ExitCode {
         Command::Save(args) => orders::run(&args, Order::Save),
         Command::ResetSettings(args) => orders::run(&args, Order::ResetSettings),
         Command::Log(args) => commands::log::run(&args),
+        Command::Monitor(args) => commands::monitor::run(&args),
+        Command::Flash(args) => commands::flash::run(&args),
         Command::Identify(args) => commands::identify::run(&args),
     };
     match done {

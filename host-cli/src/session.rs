@@ -66,7 +66,10 @@ impl Session {
                     message,
                 }) = decode(&mut frame)
                     && of == sequence
-                    && !matches!(message, Message::Telemetry(_) | Message::Event(_))
+                    && !matches!(
+                        message,
+                        Message::Telemetry(_) | Message::Event(_) | Message::Moves(_)
+                    )
                 {
                     return read(&message);
                 }

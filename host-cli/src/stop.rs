@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::output;
+use crate::{output, terminal};
 
 static STOP: AtomicBool = AtomicBool::new(false);
 
@@ -33,6 +33,7 @@ pub fn listen() {
     // all the same, since they are renamed into place.
     let _ = ctrlc::set_handler(|| {
         if STOP.swap(true, Ordering::Relaxed) {
+            terminal::give_back();
             output::remove_drafts();
             std::process::exit(130);
         }

@@ -187,6 +187,39 @@ fn what_the_emulated_knob_saves_is_there_when_it_starts_again() {
     assert_eq!(fs::read_to_string(&settings).unwrap(), "text");
 }
 
+/// The pushes are played by the image, and the plant's truth is found.
+#[test]
+fn the_emulated_knob_is_identified() {
+    let folder = TempDir::new().unwrap();
+    let scene = folder.path().join("scene.toml");
+    let truth = [
+        ("inertia_kg_m2", 9e-6),
+        ("viscous_nm_s_rad", 2e-5),
+        ("coulomb_nm", 3e-3),
+    ];
+    let mut text = "[device]\ncounts_per_rev = 8192\n".to_owned();
+    for (key, value) in truth {
+        text += &format!("{key} = {value:e}\n");
+    }
+    text += "[loop]\nsample_period_s = 1e-3\n[render]\nlaw = \"raw\"\nshape = \"spring\"\nstiffness_nm_rad = 1.0\n";
+    fs::write(&scene, text).unwrap();
+    let emulated = Emulated::start(&["--scene", scene.to_str().unwrap(), "--pace", "free"]);
+    let ask = |args: &[&str]| json(&[args, &["--port", &emulated.port, "--json"]].concat());
+    let found = ask(&["identify", "--apply"]);
+    for (key, value) in truth {
+        let number = |end: &str| found[key][end].as_f64().unwrap();
+        let (low, high) = (number("low"), number("high"));
+        assert!(low <= value && value <= high, "{key}: {found}");
+        assert!(high - low < 0.2 * value, "{key}: {found}");
+    }
+    // An f32, written in few digits.
+    let low = ask(&["get"])["coulomb_nm"][0].as_f64().unwrap() as f32;
+    assert!(f64::from(low) <= found["coulomb_nm"]["low"].as_f64().unwrap());
+    assert!(low > 2.9e-3);
+    assert_eq!(ask(&["info"])["state"], "disarmed");
+    assert_eq!(emulated.interrupt(), Some(130));
+}
+
 #[test]
 fn a_scene_makes_the_plant() {
     let folder = TempDir::new().unwrap();

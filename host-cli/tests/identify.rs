@@ -343,7 +343,16 @@ fn apply_sets_it_on_the_device() {
 
 #[test]
 fn flags_that_make_no_sense_are_bad_usage() {
-    refused(&[], 2, &["--scene"]);
+    refused(
+        &["--recording", "a.csv", "--angle-max", "3"],
+        2,
+        &["--angle-max", "--recording"],
+    );
+    refused(
+        &["--port", "/no/such/port"],
+        1,
+        &["/no/such/port", "does not exist"],
+    );
     refused(
         &["--recording", "a.csv"],
         2,
@@ -367,7 +376,12 @@ fn flags_that_make_no_sense_are_bad_usage() {
     let help = succeeds(&["--help"]);
     let words: Vec<&str> = help.split_whitespace().collect();
     let help = words.join(" ");
-    for part in ["Example", "cannot push a connected knob by itself"] {
+    for part in [
+        "Example",
+        "pushes the connected knob",
+        "keep hands off",
+        "Ctrl-C",
+    ] {
         assert!(help.contains(part), "{help}");
     }
 }

@@ -53,9 +53,18 @@ impl Bench {
     fn run(
         &self,
         limits: Limits,
+        torque: impl FnMut(f64) -> f64,
+        count: impl FnMut(f64) -> i32,
+    ) -> (Recording, f64, f64) {
+        self.try_run(limits, torque, count).unwrap()
+    }
+
+    fn try_run(
+        &self,
+        limits: Limits,
         mut torque: impl FnMut(f64) -> f64,
         mut count: impl FnMut(f64) -> i32,
-    ) -> (Recording, f64, f64) {
+    ) -> Result<(Recording, f64, f64), Refusal> {
         let start = State {
             position: self.phase * self.count_rad,
             velocity: 0.0,
@@ -76,9 +85,8 @@ impl Bench {
             furthest = furthest.max((end.position - start.position).abs());
             fastest = fastest.max(end.velocity.abs());
             count(end.position)
-        })
-        .unwrap();
-        (recording, furthest, fastest)
+        })?;
+        Ok((recording, furthest, fastest))
     }
 
     fn record(&self) -> Recording {
@@ -318,19 +326,21 @@ fn a_torque_that_saturates_is_refused() {
 
 #[test]
 fn a_reversed_sign_and_a_stuck_knob_are_refused() {
-    sabotaged(
-        "a reversed motor",
-        |it| matches!(it, Refusal::Reversed { along: 0, .. }),
-        |bench| {
-            bench
-                .run(
-                    LIMITS,
-                    |it| -it,
-                    |angle| (angle / bench.count_rad).floor() as i32,
-                )
-                .0
-        },
-    );
+    for number in 0..8 {
+        let bench = bench(number);
+        let count = |angle: f64| (angle / bench.count_rad).floor() as i32;
+        let mut most_nm = 0.0_f64;
+        let reverse = |torque_nm: f64| {
+            most_nm = most_nm.max(torque_nm.abs());
+            -torque_nm
+        };
+        let refusal = bench.try_run(LIMITS, reverse, count).unwrap_err();
+        let right = matches!(refusal, Refusal::Reversed { along: 0, .. });
+        assert!(right, "{number}: {refusal}");
+        // It is found as soon as it moves.
+        let coulomb_nm = bench.device.coulomb_nm;
+        assert!(most_nm < 3.0 * coulomb_nm, "{number}: {most_nm} Nm");
+    }
     sabotaged(
         "an unplugged motor",
         |it| matches!(it, Refusal::NeverMoved { counts: 0, .. }),

@@ -15,8 +15,8 @@ mod parameters;
 pub use frame::{FRAME_MAX, FrameError, Frames, decode, encode};
 pub use message::{
     Calibrate, CalibrationEnd, ClampReason, Event, Fault, Fields, FromDevice, Hello, MOVES_MAX,
-    Message, Moves, Push, Refusal, Request, ResetReason, Snapshot, Stage, State, Status, Stored,
-    Subscription, Telemetry, ToDevice,
+    Message, Moves, Push, PushEnd, Refusal, Request, ResetReason, Snapshot, Stage, State, Status,
+    Stored, Subscription, Telemetry, ToDevice,
 };
 pub use parameters::{
     Changes, Drive, Interval, Law, Motor, MotorChanges, MotorName, Name, Parameters, Shape,

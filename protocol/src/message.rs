@@ -51,7 +51,8 @@ pub enum Request {
     /// [`Request::Disarm`] breaks it off.
     Calibrate(Calibrate),
     /// Give a torque without a spring and tell how the knob moves. Only while disarmed. Answer: done once it has
-    /// begun; then come [`Message::Moves`]. [`Request::Disarm`] breaks it off.
+    /// begun; then come [`Message::Moves`]. [`Request::Disarm`] breaks it off. Repeated at once under the same sequence
+    /// number it is answered again, but not played again.
     Push(Push),
 }
 
@@ -80,7 +81,9 @@ pub struct Push {
     pub way_counts: u32,
     /// It ends when a tick moved the count by so many, either way.
     pub speed_counts: u32,
-    /// The recording ends, and with it the push, after so many ticks with the torque off.
+    /// With the torque off, the push is over when the count stood still for so many ticks,
+    pub rest_ticks: u32,
+    /// or after so many ticks, at rest or not.
     pub coast_ticks: u32,
     /// A knob that is further from where it was than this, either way, is a fault, counts.
     pub guard_counts: u32,
@@ -176,12 +179,29 @@ pub const MOVES_MAX: usize = 224;
 pub struct Moves<'a> {
     /// The number of the first of these ticks, from the push's first one as 0.
     pub first: u32,
+    /// The count before the first of these ticks.
+    pub from: i32,
     /// The number of the tick from which on there is no torque, as far as it is known.
     pub released: Option<u32>,
-    /// The push is over with the last of these.
-    pub last: bool,
+    /// How the push ended, if it did so with the last of these.
+    pub end: Option<PushEnd>,
     /// By how much each tick found the count moved: two bytes each, signed, the low one first.
     pub moves: &'a [u8],
+}
+
+/// How a push ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum PushEnd {
+    /// The knob rests.
+    Rest,
+    /// The knob did not come to rest in time.
+    InMotion,
+    /// It was told to end.
+    BrokenOff,
+    /// A fault ended it.
+    Fault,
+    /// The line is too slow for this sample period: a move found no room, and is lost.
+    NoRoom,
 }
 
 /// How things stood in the tick that found a fault. What a board does not measure is 0.

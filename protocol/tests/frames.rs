@@ -4,8 +4,8 @@ use proptest::prelude::*;
 use protocol::{
     Calibrate, CalibrationEnd, Changes, ClampReason, Drive, Event, FRAME_MAX, Fault, Fields,
     FrameError, Frames, FromDevice, Hello, Interval, Law, MOVES_MAX, Message, Motor, MotorChanges,
-    Moves, Name, Parameters, Push, Refusal, Request, ResetReason, Shape, Snapshot, Stage, State,
-    Status, Stored, Subscription, Telemetry, ToDevice, VERSION, decode, encode,
+    Moves, Name, Parameters, Push, PushEnd, Refusal, Request, ResetReason, Shape, Snapshot, Stage,
+    State, Status, Stored, Subscription, Telemetry, ToDevice, VERSION, decode, encode,
 };
 
 /// The page that describes the wire; its golden frames are those tested here.
@@ -117,6 +117,7 @@ fn requests() -> Vec<(&'static str, Request)> {
                 most_ticks: 1000,
                 way_counts: 500,
                 speed_counts: 40,
+                rest_ticks: 150,
                 coast_ticks: 2000,
                 guard_counts: 8192,
             }),
@@ -223,9 +224,20 @@ fn messages() -> Vec<(&'static str, Message<'static>)> {
             "moves",
             Message::Moves(Moves {
                 first: 64,
+                from: -12,
                 released: Some(66),
-                last: false,
+                end: None,
                 moves: &[0, 0, 1, 0, 0xFF, 0xFF],
+            }),
+        ),
+        (
+            "moves, the last",
+            Message::Moves(Moves {
+                first: 112,
+                from: 40,
+                released: Some(66),
+                end: Some(PushEnd::Rest),
+                moves: &[2, 0],
             }),
         ),
     ]
@@ -388,8 +400,9 @@ fn the_longest_of_every_message_fits_a_frame() {
     );
     let moves = Message::Moves(Moves {
         first: u32::MAX,
+        from: i32::MIN,
         released: Some(u32::MAX),
-        last: true,
+        end: Some(PushEnd::NoRoom),
         moves: &[0xFF; MOVES_MAX],
     });
     assert!(from_device(moves).len() <= FRAME_MAX);

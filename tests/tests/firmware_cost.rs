@@ -6,18 +6,29 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use acceptance::{Rig, request_frame};
+use acceptance::powered_twin::{all_of, example_motor, knob};
+use acceptance::{PoweredRig, Rig, request_frame};
 use object::{Object, ObjectSection, ObjectSymbol, SectionFlags, SymbolKind};
+use plant_sim::hold::State as Motion;
 use plant_sim::lockstep::{Bench, Emulator, Order, Plant, SETTINGS_BYTES};
+use plant_sim::powered::Powered;
+use plant_sim::powered_lockstep::{DriveEmulator, PoweredBench, Surroundings};
 use plant_sim::preset::preset;
-use protocol::{Changes, Fields, Law, Request, Shape, Subscription};
+use protocol::{Changes, Drive, Fields, Law, Request, Shape, Subscription};
 
-/// Instructions that a tick of a spring may take, by law.
-const BUDGET: [(&str, u64); 4] = [
+/// Instructions that a tick of a spring may take, by law; of a board with a power stage, the whole interrupt of a PWM period,
+/// without and with a haptic tick in it.
+const BUDGET: [(&str, u64); 10] = [
     ("tick_static_instructions", 100),
     ("tick_episode_instructions", 180),
     ("tick_ledger_instructions", 650),
     ("tick_ledger_four_ticks_back_instructions", 450),
+    ("current_tick_current_instructions", 700),
+    ("current_tick_voltage_instructions", 700),
+    ("current_tick_brushed_instructions", 700),
+    ("current_tick_current_ledger_instructions", 1300),
+    ("current_tick_voltage_ledger_instructions", 1300),
+    ("current_tick_brushed_ledger_instructions", 1300),
 ];
 
 struct Image {
@@ -245,6 +256,49 @@ fn instructions(path: &Path, changes: Changes) -> usize {
     most
 }
 
+/// Most instructions of the interrupt of a PWM period, without and with a haptic tick under the ledger in it: all of it, from
+/// what was sensed to the duties.
+fn current_ticks(drive: Drive) -> [u64; 2] {
+    const EVERY: usize = 24;
+    let motor = example_motor(drive);
+    let thrown = Motion {
+        position: -0.01,
+        velocity: 3.0,
+    };
+    let setup = knob(&motor, 8192, preset("re35").unwrap().device, thrown);
+    let mut bench = PoweredBench {
+        emulator: DriveEmulator::start(&PoweredRig::image(), 0, &[], None).unwrap(),
+        knob: Powered::new(&setup).unwrap(),
+        around: Surroundings::default(),
+    };
+    for request in [
+        Request::Set(spring(Law::Ledger)),
+        Request::SetMotor(all_of(&motor)),
+        Request::Arm,
+    ] {
+        bench.emulator.send(&request_frame(1, request)).unwrap();
+        for _ in 0..EVERY {
+            bench.period().unwrap();
+        }
+    }
+    let costs: Vec<u64> = (0..200 * EVERY)
+        .map(|_| u64::from(bench.period().unwrap().report.cost))
+        .collect();
+    assert!(bench.emulator.report().duties.is_some());
+    // One phase of the 24 has the haptic tick in it.
+    let most = |phase: usize| {
+        let of_phase = costs.iter().skip(phase).step_by(EVERY);
+        of_phase.copied().max().unwrap_or(0)
+    };
+    let mut phases: Vec<u64> = (0..EVERY).map(most).collect();
+    phases.sort_unstable();
+    let [.., current, haptic] = phases[..] else {
+        unreachable!("there are 24");
+    };
+    assert!(haptic > current + 200, "{phases:?}");
+    [current, haptic]
+}
+
 fn measure() -> BTreeMap<&'static str, u64> {
     let image = Image::load(&Rig::image());
     let mut figures = BTreeMap::from([("flash_bytes", image.flash), ("ram_bytes", image.ram)]);
@@ -274,6 +328,34 @@ fn measure() -> BTreeMap<&'static str, u64> {
         let costs = (0..2000).map(|_| u64::from(whole.tick().unwrap().1.cost));
         figures.insert(name, costs.max().unwrap());
     }
+    for (drive, names) in [
+        (
+            Drive::Current,
+            [
+                "current_tick_current_instructions",
+                "current_tick_current_ledger_instructions",
+            ],
+        ),
+        (
+            Drive::Voltage,
+            [
+                "current_tick_voltage_instructions",
+                "current_tick_voltage_ledger_instructions",
+            ],
+        ),
+        (
+            Drive::Brushed,
+            [
+                "current_tick_brushed_instructions",
+                "current_tick_brushed_ledger_instructions",
+            ],
+        ),
+    ] {
+        figures.extend(names.into_iter().zip(current_ticks(drive)));
+    }
+    let drive_image = Image::load(&PoweredRig::image());
+    figures.insert("drive_flash_bytes", drive_image.flash);
+    figures.insert("drive_ram_bytes", drive_image.ram);
     // Everything at once, for the deepest stack.
     let folder = tempfile::tempdir().unwrap();
     let settings = folder.path().join("settings");
@@ -364,11 +446,15 @@ fn size_and_cost_are_what_they_were() {
 #[test]
 fn the_tick_calls_no_panicking_code() {
     let odrive = Rig::image().with_file_name("odrive_v3.elf");
-    for (path, interrupt) in [(Rig::image(), "TIM2"), (odrive, "ADC")] {
+    for (path, interrupt) in [
+        (Rig::image(), "TIM2"),
+        (PoweredRig::image(), "ADC"),
+        (odrive, "ADC"),
+    ] {
         let image = Image::load(&path);
         let reached = image.reached_from(image.functions[interrupt].0);
         assert!(
-            reached.iter().any(|name| name.contains("4tick")),
+            reached.iter().any(|name| name.contains("Controller4tick")),
             "{reached:?}"
         );
         let panics: Vec<_> = reached

@@ -17,8 +17,8 @@ use plant_sim::motor::Motor;
 use plant_sim::outcome::Class;
 use plant_sim::preset::preset;
 use protocol::{
-    Changes, ClampReason, Event, Fault, Fields, Interval, Law, Message, Name, Refusal, Request,
-    Shape, State, Subscription,
+    Changes, ClampReason, Event, Fault, Fields, Interval, Law, Message, Name, Push, PushEnd,
+    Refusal, Request, Shape, State, Subscription,
 };
 
 fn re35() -> Device<f64> {
@@ -539,4 +539,46 @@ fn serial_torture() {
         "{} ticks, {bytes} random bytes, {bad} bad frames",
         rig.ticks - ticks_before
     );
+}
+
+/// Torques of a push, the moves that are told, and how it ends: on the chip as natively.
+#[test]
+fn the_chip_plays_a_push_as_its_native_twin_does() {
+    let mut rig = rig(8192.0);
+    rig.bench.plant.let_go(0.0);
+    let push = Push {
+        from_nm: 1e-3,
+        to_nm: 5e-3,
+        rise_ticks: 30,
+        most_ticks: 60,
+        way_counts: 400,
+        speed_counts: 60,
+        rest_ticks: 150,
+        coast_ticks: 5000,
+        guard_counts: 8192,
+    };
+    rig.must(Request::Push(push));
+    rig.ticks(1000);
+    let mut ticks = 0;
+    let mut end = None;
+    for message in rig.take_messages() {
+        message.read(|_, message| {
+            if let Message::Moves(moves) = message {
+                ticks += moves.moves.len() / 2;
+                end = moves.end;
+            }
+        });
+    }
+    assert_eq!(end, Some(PushEnd::Rest));
+    assert!(ticks > 250, "{ticks}");
+    let turned = rig.bench.plant.state().position;
+    assert!(turned > 0.1, "{turned} rad");
+    // Something runs away with it.
+    rig.must(Request::Push(push));
+    rig.bench.plant.let_go(500.0);
+    rig.ticks(30);
+    rig.ask(Request::Status, |message| match message {
+        Message::Status(status) => assert_eq!(status.state, State::Fault(Fault::Guard)),
+        other => panic!("{other:?}"),
+    });
 }

@@ -75,6 +75,7 @@ fn build_image(way: &Way, features: &str, name: &str) -> Result<()> {
         TARGET,
         "-p",
         "firmware",
+        "--no-default-features",
         "--features",
         features,
     ];

@@ -170,6 +170,12 @@ fn check() -> Result<()> {
         .arg("clippy")
         .args(everything)
         .args(["--", "-D", "warnings"]))?;
+    // `knob flash` has two forms.
+    let flash = ["-p", "host-cli", "--all-targets", "--features", "flash"];
+    run(cargo()
+        .arg("clippy")
+        .args(flash)
+        .args(["--", "-D", "warnings"]))?;
     run(cargo()
         .env("RUSTDOCFLAGS", "-D warnings")
         .args(["doc", "--workspace", "--no-deps"]))

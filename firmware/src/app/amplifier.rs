@@ -8,7 +8,7 @@ mod app {
     use firmware::settings::{self, BoardKind};
     use firmware::store::Keep;
     use firmware::ticker::Ticker;
-    use firmware::{Commands, Link, Records};
+    use firmware::{Commands, Link, Moves, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
     use protocol::ResetReason;
     use stm32f4xx_hal::pac::Interrupt;
@@ -40,6 +40,7 @@ mod app {
         byte_queue: Bytes = Queue::new(),
         commands: Commands = Queue::new(),
         records: Records = Queue::new(),
+        moves: Moves = Queue::new(),
         link: Link = Link::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
@@ -56,6 +57,7 @@ mod app {
         let (received, bytes) = cx.local.byte_queue.split();
         let (command_sender, command_receiver) = cx.local.commands.split();
         let (record_sender, record_receiver) = cx.local.records.split();
+        let (move_sender, move_receiver) = cx.local.moves.split();
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
             git_hash: env!("GIT_HASH"),
@@ -76,6 +78,7 @@ mod app {
             link,
             command_receiver,
             record_sender,
+            move_sender,
         );
         let desk = Desk::new(
             identity,
@@ -84,6 +87,7 @@ mod app {
             link,
             command_sender,
             record_receiver,
+            move_receiver,
         );
         defmt::info!(
             "knob {=str} ({=str}) on {=str}",

@@ -10,7 +10,7 @@ mod app {
     use firmware::store::Keep;
     use firmware::ticker::Ticker;
     use firmware::upkeep::{PERIODS, Upkeep};
-    use firmware::{Commands, Link, Records};
+    use firmware::{Commands, Link, Moves, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
 
@@ -42,6 +42,7 @@ mod app {
         byte_queue: Bytes = Queue::new(),
         commands: Commands = Queue::new(),
         records: Records = Queue::new(),
+        moves: Moves = Queue::new(),
         link: Link = Link::new(),
     ])]
     fn init(cx: init::Context) -> (Shared, Local) {
@@ -57,6 +58,7 @@ mod app {
         let (received, bytes) = cx.local.byte_queue.split();
         let (command_sender, command_receiver) = cx.local.commands.split();
         let (record_sender, record_receiver) = cx.local.records.split();
+        let (move_sender, move_receiver) = cx.local.moves.split();
         let identity = Identity {
             firmware: env!("CARGO_PKG_VERSION"),
             git_hash: env!("GIT_HASH"),
@@ -78,6 +80,7 @@ mod app {
             link,
             command_receiver,
             record_sender,
+            move_sender,
         );
         let current = CurrentTick::new(ticker, power, Stage::COUNTER_BITS, counter);
         let desk = Desk::new(
@@ -87,6 +90,7 @@ mod app {
             link,
             command_sender,
             record_receiver,
+            move_receiver,
         );
         defmt::info!(
             "knob {=str} ({=str}) on {=str}",

@@ -1,17 +1,21 @@
 //! `knob identify`: inertia and friction of a knob, from what it did under known torques.
 
+mod pushes;
+
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use control::config::Interval;
 use plant_sim::hold::State;
-use plant_sim::identify::experiment::{Experiment, Limits};
+use plant_sim::identify::experiment::{Experiment, Limits, play};
 use plant_sim::identify::{Estimate, Identified, Recording, identify};
 use plant_sim::knob::Knob;
+use protocol::Parameters;
 use serde::Serialize;
 
 use super::set;
+use crate::device::{Device, Identity};
 use crate::number::{self, digits};
 use crate::output::{self, Output};
 use crate::parameters::{self, Assignment};
@@ -22,20 +26,23 @@ use crate::stop::{self, Usage};
 
 /// Find inertia, viscous and Coulomb friction, with the intervals in which they lie.
 ///
-/// From a recording: a file with the columns tick, count and torque_nm, as `knob log` writes it, with a row
+/// It pushes the connected knob: first with a torque that rises until the knob moves, then with steps of several
+/// heights in both directions, and lets it coast to rest after each; some 30 seconds in all. Let the knob turn
+/// freely, and keep hands off. It must be disarmed, and is disarmed afterwards, however this ends; Ctrl-C stops it.
+/// Each push ends by itself within the limits, even where the cable is pulled. Where the sample period is
+/// too short for the line, or counts are decimated, that is changed for the time of the pushes.
+///
+/// Or from a recording: a file with the columns tick, count and torque_nm, as `knob log` writes it, with a row
 /// for every tick. It has to begin and end with 0.1 s at rest without torque, and to hold pushes in both
 /// directions and of several heights, each followed by a coast-down to rest. Or from the same experiment on
 /// the exact plant of a scene, to try it: its device, loop and hand count, and the knob starts at rest.
-///
-/// The firmware has no command yet that gives a torque without a spring, so this command cannot push a
-/// connected knob by itself. A recording comes from a firmware of your own that plays such pushes.
 ///
 /// The intervals hold all values that explain every count; they widen with what these leave unexplained. A
 /// recording that does not support an answer is refused with the reason. What no recording can show:
 /// whether counts per turn and torque are right. Torques 2 % too large make all three 2 % too large.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  knob identify --scene scenes/fig6c.toml\n  knob identify --recording pushes.csv --sample-period 1e-3 --counts-per-rev 8192 --out believed.toml\n  knob identify --recording pushes.csv --sample-period 1e-3 --counts-per-rev 8192 --apply"
+    after_help = "Examples:\n  knob identify\n  knob identify --speed-max 20 --angle-max 3 --torque-max 0.05 --apply\n  knob identify --scene scenes/fig6c.toml\n  knob identify --recording pushes.csv --sample-period 1e-3 --counts-per-rev 8192 --out believed.toml\n  knob identify --recording pushes.csv --sample-period 1e-3 --counts-per-rev 8192 --apply"
 )]
 pub struct Args {
     /// A recording (CSV), as `knob log` writes it
@@ -48,16 +55,16 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = number::positive, requires = "recording")]
     counts_per_rev: Option<f64>,
     /// A scene whose plant is pushed instead (TOML)
-    #[arg(long, value_name = "SCENE.toml", required_unless_present = "recording")]
+    #[arg(long, value_name = "SCENE.toml")]
     scene: Option<PathBuf>,
-    /// With --scene: the fastest that it may turn, rad/s [default: 50]
-    #[arg(long, value_name = "RAD/S", value_parser = number::positive, requires = "scene")]
+    /// The fastest that it may turn, rad/s [default: 50, on a device 0.8 of speed_max_rad_s if that is less]
+    #[arg(long, value_name = "RAD/S", value_parser = number::positive, conflicts_with = "recording")]
     speed_max: Option<f64>,
-    /// With --scene: the furthest that it may turn, either way, rad [default: 10]
-    #[arg(long, value_name = "RAD", value_parser = number::positive, requires = "scene")]
+    /// The furthest that it may turn from where it stands, either way, rad [default: 10]
+    #[arg(long, value_name = "RAD", value_parser = number::positive, conflicts_with = "recording")]
     angle_max: Option<f64>,
-    /// With --scene: the largest torque commanded, Nm [default: 0.2, or the scene's torque_max_nm if that is less]
-    #[arg(long, value_name = "NM", value_parser = number::positive, requires = "scene")]
+    /// The largest torque commanded, Nm [default: 0.2, or torque_max_nm if that is less]
+    #[arg(long, value_name = "NM", value_parser = number::positive, conflicts_with = "recording")]
     torque_max: Option<f64>,
     /// Write the table believed of a scene file
     #[arg(long, value_name = "FILE.toml")]
@@ -65,7 +72,7 @@ pub struct Args {
     /// Replace a file that exists
     #[arg(long)]
     force: bool,
-    /// Set what was found on the connected knob
+    /// Set what was found on the connected knob, for the governor to use
     #[arg(long)]
     apply: bool,
     #[command(flatten)]
@@ -112,22 +119,38 @@ pub fn run(args: &Args) -> Result<()> {
             return Err(Usage("--out: this is what is read; give another name".into()).into());
         }
     }
+    let name = |path: &Path| path.display().to_string();
+    let mut connected = None;
     let (recording, source) = match (&args.recording, &args.scene) {
-        (Some(path), _) => (recorded(args, path)?, path),
-        (None, Some(path)) => (simulated(args, path)?, path),
-        (None, None) => return Err(Usage("--recording or --scene is missing".into()).into()),
+        (Some(path), _) => (recorded(args, path)?, name(path)),
+        (None, Some(path)) => (simulated(args, path)?, name(path)),
+        (None, None) => {
+            let (mut device, identity) = args.connection.connect()?;
+            let before = device.parameters()?;
+            let recording = pushed(args, &mut device, &identity, &before)?;
+            let source = format!("port {}", device.path());
+            connected = Some((device, identity, before));
+            (recording, source)
+        }
     };
     stop::check()?;
-    let found = identify(&recording).with_context(|| source.display().to_string())?;
+    let found = identify(&recording).with_context(|| source.clone())?;
+    if let Some((_, _, before)) = &connected {
+        compare(&found, before);
+    }
     let assignments = assignments(&found);
     let set = format!("knob set {}", assignments.join(" "));
     if let Some(out) = &mut out {
-        write!(out, "{}", believed(&found, source))?;
+        let file = args.recording.as_ref().or(args.scene.as_ref());
+        let file = file.and_then(|path| path.file_name());
+        let of = file.map_or(source.into(), |name| name.to_string_lossy());
+        write!(out, "{}", believed(&found, &of))?;
     }
     output::publish(out.into_iter().collect())?;
-    let applied_at_tick = match args.apply {
-        true => Some(apply(args, &assignments)?),
-        false => None,
+    let applied_at_tick = match (args.apply, connected) {
+        (false, _) => None,
+        (true, Some((device, identity, _))) => Some(apply((device, identity), &assignments)?),
+        (true, None) => Some(apply(args.connection.connect()?, &assignments)?),
     };
     if args.connection.json {
         let json = Json {
@@ -160,13 +183,7 @@ const TORQUE_NM: f64 = 0.2;
 /// The experiment on the plant of a scene.
 fn simulated(args: &Args, path: &Path) -> Result<Recording> {
     let Loaded { scene, .. } = scene::load(path)?;
-    let limits = Limits {
-        speed_rad_s: args.speed_max.unwrap_or(50.0),
-        angle_rad: args.angle_max.unwrap_or(10.0),
-        torque_nm: args
-            .torque_max
-            .unwrap_or(scene.config.torque_max_nm.min(TORQUE_NM)),
-    };
+    let limits = limits(args, scene.config.torque_max_nm);
     let start = State {
         velocity: 0.0,
         ..scene.start
@@ -186,25 +203,78 @@ fn simulated(args: &Args, path: &Path) -> Result<Recording> {
     let count = |angle_rad: f64| (angle_rad / count_rad).floor() as i32;
     let mut experiment =
         Experiment::new(limits, period_s, count_rad).with_context(|| path.display().to_string())?;
-    let mut samples = Vec::new();
     let mut now = count(start.position);
-    while let Some(torque_nm) = experiment.tick(now) {
-        if samples.len().is_multiple_of(4096) {
-            stop::check()?;
-        }
-        samples.push(plant_sim::identify::Sample {
-            count: now,
-            torque_nm,
+    while let Some(push) = experiment.push() {
+        stop::check()?;
+        let played = play(&push, &mut now, |torque_nm| {
+            let given_nm = torque_nm.clamp(-most_nm, most_nm);
+            let interval_s = ticks.next().unwrap_or(period_s);
+            count(knob.hold(given_nm, interval_s).end.position)
         });
-        let given_nm = torque_nm.clamp(-most_nm, most_nm);
-        let interval_s = ticks.next().unwrap_or(period_s);
-        now = count(knob.hold(given_nm, interval_s).end.position);
+        let taken = experiment.take(&push, &played);
+        taken.with_context(|| path.display().to_string())?;
     }
-    Ok(Recording {
-        period_s,
-        count_rad,
-        samples,
-    })
+    Ok(experiment.into_recording())
+}
+
+/// The experiment on the connected knob.
+fn pushed(
+    args: &Args,
+    device: &mut Device,
+    identity: &Identity,
+    before: &Parameters,
+) -> Result<Recording> {
+    let most_nm = f64::from(before.torque_max_nm);
+    let mut limits = limits(args, most_nm);
+    // What moves faster than this is a fault.
+    let fastest = f64::from(before.speed_max_rad_s);
+    if args.speed_max.is_none() {
+        limits.speed_rad_s = limits.speed_rad_s.min(0.8 * fastest);
+    }
+    if limits.speed_rad_s > fastest {
+        bail!(
+            "--speed-max: the device takes more than speed_max_rad_s={} for a jump of the encoder; accepted: up to that",
+            parameters::short(before.speed_max_rad_s)
+        );
+    }
+    if limits.torque_nm > most_nm || most_nm == 0.0 {
+        bail!(
+            "the device gives no more than torque_max_nm={}; accepted: --torque-max above 0 up to that",
+            parameters::short(before.torque_max_nm)
+        );
+    }
+    eprintln!(
+        "pushes the knob: up to {} Nm, {} rad/s, {} rad either way; hands off; Ctrl-C stops it",
+        number::short(limits.torque_nm),
+        number::short(limits.speed_rad_s),
+        number::short(limits.angle_rad)
+    );
+    pushes::record(device, identity, limits, before)
+}
+
+/// What differs more from what was believed than motors of the same build do.
+const FAR: f64 = 10.0;
+
+/// Says so where the inertia is far from what the device believed: a wrong count size shows nowhere else.
+fn compare(found: &Identified, before: &Parameters) {
+    let (now, then) = (&found.inertia_kg_m2, before.inertia_kg_m2);
+    if now.low > FAR * f64::from(then.high) || now.high * FAR < f64::from(then.low) {
+        eprintln!(
+            "the device believed an inertia of {}..{} kg m²; this is far from it. If that surprises, \
+             check counts_per_rev={}",
+            parameters::short(then.low),
+            parameters::short(then.high),
+            before.counts_per_rev
+        );
+    }
+}
+
+fn limits(args: &Args, torque_max_nm: f64) -> Limits {
+    Limits {
+        speed_rad_s: args.speed_max.unwrap_or(50.0),
+        angle_rad: args.angle_max.unwrap_or(10.0),
+        torque_nm: args.torque_max.unwrap_or(torque_max_nm.min(TORQUE_NM)),
+    }
 }
 
 /// NAME=LOW..HIGH for each, the ends rounded outwards to what the device holds.
@@ -231,7 +301,7 @@ fn assignments(found: &Identified) -> [String; 3] {
     })
 }
 
-fn apply(args: &Args, assignments: &[String; 3]) -> Result<u32> {
+fn apply((mut device, identity): (Device, Identity), assignments: &[String; 3]) -> Result<u32> {
     let mut all = Vec::new();
     for text in assignments {
         match Assignment::read(text) {
@@ -240,16 +310,14 @@ fn apply(args: &Args, assignments: &[String; 3]) -> Result<u32> {
         }
     }
     let changes = parameters::changes(&all).map_err(Usage)?;
-    let (mut device, identity) = args.connection.connect()?;
     set::order(&mut device, &identity, &changes)
 }
 
 /// The table of a scene file. All digits of an `f64`, so that nothing is rounded inwards.
-fn believed(found: &Identified, source: &Path) -> String {
+fn believed(found: &Identified, source: &str) -> String {
     let believed = found.believed();
-    let name = source.file_name().unwrap_or_default().to_string_lossy();
     // A name with a line break would end the comment.
-    let name = name.replace(char::is_control, " ");
+    let name = source.replace(char::is_control, " ");
     let mut text = format!("[believed] # by knob identify, from {name}\n");
     for (key, Interval { low, high }) in [
         ("inertia_kg_m2", believed.inertia_kg_m2),

@@ -3,8 +3,8 @@ use std::io::{self, ErrorKind};
 use std::time::{Duration, Instant};
 
 use protocol::{
-    Event, Frames, FromDevice, Message, Motor, Moves, Parameters, Refusal, Snapshot, Status,
-    Telemetry, decode,
+    Event, Frames, FromDevice, Message, Motor, Moves, Parameters, PushEnd, Refusal, Snapshot,
+    Status, Telemetry, decode,
 };
 use serialport::SerialPort;
 
@@ -55,8 +55,10 @@ pub enum Unasked {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Moved {
     pub first: u32,
+    /// The count before the first of them.
+    pub from: i32,
     pub released: Option<u32>,
-    pub last: bool,
+    pub end: Option<PushEnd>,
     /// By how much each tick found the count moved.
     pub moves: Vec<i16>,
 }
@@ -66,8 +68,9 @@ impl From<Moves<'_>> for Moved {
         let (pairs, _) = moves.moves.as_chunks();
         Self {
             first: moves.first,
+            from: moves.from,
             released: moves.released,
-            last: moves.last,
+            end: moves.end,
             moves: pairs.iter().map(|pair| i16::from_le_bytes(*pair)).collect(),
         }
     }

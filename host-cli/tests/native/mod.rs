@@ -12,7 +12,7 @@ use firmware::desk::{Desk, Identity};
 use firmware::settings::{self, BoardKind};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
-use firmware::{Commands, Link, Records};
+use firmware::{Commands, Link, Moves, Records};
 use protocol::{FromDevice, Message, decode};
 use rustix::fs::{Mode, OFlags, fcntl_setfl, open};
 use rustix::io::{read, write};
@@ -120,15 +120,41 @@ pub fn board_with(line: impl FnMut(&FromDevice<'_>) -> Fate + Send + 'static) ->
 }
 
 fn board_on(
-    mut line: impl FnMut(&FromDevice<'_>) -> Fate + Send + 'static,
-    mut store: impl Keep + Send + 'static,
+    line: impl FnMut(&FromDevice<'_>) -> Fate + Send + 'static,
+    store: impl Keep + Send + 'static,
 ) -> (Port, Arc<Hand>) {
     let hand = Arc::new(Hand::default());
     let held = Arc::clone(&hand);
+    let mut counter = 0_i32;
+    let turned = move |_, _| {
+        counter = counter.wrapping_add(held.speed.load(Relaxed) + held.jump.swap(0, Relaxed));
+        counter
+    };
+    let port = device(1, turned, Arc::clone(&hand), line, store);
+    (port, hand)
+}
+
+/// A device whose counter is what `turned` makes of torque (Nm) and period (s), `at_a_time` ticks in about a millisecond.
+pub fn board_at(
+    at_a_time: u32,
+    turned: impl FnMut(f32, f32) -> i32 + Send + 'static,
+    line: impl FnMut(&FromDevice<'_>) -> Fate + Send + 'static,
+) -> Port {
+    device(at_a_time, turned, Arc::default(), line, NoStore)
+}
+
+fn device(
+    at_a_time: u32,
+    mut turned: impl FnMut(f32, f32) -> i32 + Send + 'static,
+    hand: Arc<Hand>,
+    mut line: impl FnMut(&FromDevice<'_>) -> Fate + Send + 'static,
+    mut store: impl Keep + Send + 'static,
+) -> Port {
     // Two queues and a few words, kept until the test ends.
     let link: &'static Link = Box::leak(Box::new(Link::new()));
     let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
     let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
+    let (move_sender, move_receiver) = Box::leak(Box::new(Moves::new())).split();
     let start = settings::start(&store.load(), &KIND).unwrap();
     let identity = Identity {
         firmware: "1.2.3",
@@ -137,7 +163,14 @@ fn board_on(
         kind: KIND,
         reset: protocol::ResetReason::Unknown,
     };
-    let mut ticker = Ticker::new(&start.settled, 0, link, command_receiver, record_sender);
+    let mut ticker = Ticker::new(
+        &start.settled,
+        0,
+        link,
+        command_receiver,
+        record_sender,
+        move_sender,
+    );
     let mut desk = Desk::new(
         identity,
         &start,
@@ -145,14 +178,16 @@ fn board_on(
         link,
         command_sender,
         record_receiver,
+        move_receiver,
     );
     let mut inbox = VecDeque::new();
-    let mut counter = 0_i32;
+    let mut torque_nm = 0.0;
     let mut period_s = start.settings.parameters.sample_period_s;
-    let port = Port::new(move |incoming, outgoing| {
+    let mut tick = move |incoming: &[u8], outgoing: &mut Vec<u8>| {
         inbox.extend(incoming);
-        counter = counter.wrapping_add(held.speed.load(Relaxed) + held.jump.swap(0, Relaxed));
+        let counter = turned(torque_nm, period_s);
         let output = ticker.tick(counter as u32, period_s, false);
+        torque_nm = output.torque_nm;
         period_s = output.period_s.unwrap_or(period_s);
         desk.serve(
             || inbox.pop_front(),
@@ -160,7 +195,7 @@ fn board_on(
                 let (mut copy, mut sent) = (frame.to_vec(), frame.to_vec());
                 let said: FromDevice<'_> = decode(&mut copy).unwrap();
                 if matches!(said.message, Message::Telemetry(_)) {
-                    held.telemetry.fetch_add(1, Relaxed);
+                    hand.telemetry.fetch_add(1, Relaxed);
                 }
                 match line(&said) {
                     Fate::Arrives => {}
@@ -171,6 +206,11 @@ fn board_on(
                 outgoing.extend(sent);
             },
         );
-    });
-    (port, hand)
+    };
+    Port::new(move |incoming, outgoing| {
+        tick(incoming, outgoing);
+        for _ in 1..at_a_time {
+            tick(&[], outgoing);
+        }
+    })
 }

@@ -11,6 +11,18 @@ pub enum Refusal {
         /// What was given.
         value: f64,
     },
+    /// Too few counts to plan anything by.
+    #[error(
+        "within the angle limit of {angle_rad} rad the encoder has only {counts:.0} counts; accepted: {least:.0} or more. Are the counts per turn right?"
+    )]
+    TooCoarse {
+        /// The limit, rad.
+        angle_rad: f64,
+        /// Counts within it.
+        counts: f64,
+        /// How many there have to be.
+        least: f64,
+    },
     /// A torque is no number.
     #[error("the torque of sample {row} is {value} Nm; accepted: a finite number")]
     NotFinite {

@@ -14,7 +14,7 @@ use firmware::settings::{self, BoardKind};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
 use firmware::upkeep::{PERIODS, Upkeep};
-use firmware::{Commands, Link, Records};
+use firmware::{Commands, Link, Moves, Records};
 use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding};
 use plant_sim::hand::Hand;
 use plant_sim::hold::State as Motion;
@@ -317,6 +317,7 @@ impl Rig {
         let link: &'static Link = Box::leak(Box::new(Link::new()));
         let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
         let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
+        let (move_sender, move_receiver) = Box::leak(Box::new(Moves::new())).split();
         let board = FakeBoard {
             temperature_c: 40.0,
             gate_driver: Ok(()),
@@ -332,6 +333,7 @@ impl Rig {
             link,
             command_receiver,
             record_sender,
+            move_sender,
         );
         let power = start.settled.power.expect("a power stage");
         let identity = Identity {
@@ -351,6 +353,7 @@ impl Rig {
                 link,
                 command_sender,
                 record_receiver,
+                move_receiver,
             ),
             upkeep: Upkeep::new(link),
             plant,
