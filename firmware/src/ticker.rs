@@ -23,7 +23,7 @@ use crate::{CommandReceiver, Link, LinkStatus, MoveSender, RecordSender};
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[expect(
     clippy::large_enum_variant,
-    reason = "two of them lie in the queue, some 200 bytes each; without an allocator nothing is boxed"
+    reason = "two of them lie in the queue, some 380 bytes each; without an allocator nothing is boxed"
 )]
 pub enum Command {
     /// Take this plan. Refused while armed if it changes the period, the encoder or the count, and while pushing.

@@ -5,6 +5,7 @@
 //! and gives a [`Loaded`] that runs.
 
 pub(crate) mod accepted;
+mod electrical;
 mod file;
 
 use std::f64::consts::TAU;
@@ -18,16 +19,20 @@ use control::encoder::EncoderConfig;
 use control::plan::Plan;
 use control::shape::{Profile, Shape};
 use control::tick::{Controller, Tick};
+use control::torque::Delivery;
 use plant_sim::clock::Clock;
-use plant_sim::closed_loop::{Report, Sample, Scene, SceneError};
+use plant_sim::closed_loop::{Report, Sample, Scene};
 use plant_sim::display::Display;
 use plant_sim::drive::Drive;
+use plant_sim::driven::Passed;
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
 use plant_sim::knob::{Knob, KnobError};
 use plant_sim::motor::{MOST_PERIODS, Motor};
+use plant_sim::powered::Setup;
 
 use accepted::{MOST, bound, finite, not_negative, plain, positive, refuse, share, signed};
+use electrical::Electrical;
 use file::{
     Belief, BelievedTable, DeviceFile, DeviceTable, HandTable, LawName, LoopTable, RenderTable,
     SceneFile, ShapeName, unlimited,
@@ -39,6 +44,21 @@ pub struct Loaded {
     pub scene: Scene,
     /// What the controller believes and does.
     plan: Plan,
+    /// Of it, the timing.
+    told: Timing,
+    /// The windings of `[electrical]`; the scene's drive is then what stands for them in the plan.
+    electrical: Option<Electrical>,
+}
+
+/// What the windings were taken for, and what they went through.
+#[derive(Debug, Clone, Copy)]
+pub struct Windings {
+    /// What the drive says of itself.
+    pub delivery: Delivery,
+    /// What the controller was told.
+    pub told: Timing,
+    /// What the windings went through.
+    pub passed: Passed,
 }
 
 impl Loaded {
@@ -46,8 +66,41 @@ impl Loaded {
     ///
     /// # Errors
     /// A start out of the counts' reach.
-    pub fn run(&self, observe: impl FnMut(&Sample) -> bool) -> Result<Report, SceneError> {
-        self.scene.run_under(self.control(), observe)
+    pub fn run(&self, observe: impl FnMut(&Sample) -> bool) -> Result<Report> {
+        Ok(self.run_telling(observe)?.0)
+    }
+
+    /// The same; a scene that has windings tells of them.
+    ///
+    /// # Errors
+    /// A start out of the counts' reach.
+    pub fn run_telling(
+        &self,
+        observe: impl FnMut(&Sample) -> bool,
+    ) -> Result<(Report, Option<Windings>)> {
+        let Some(electrical) = &self.electrical else {
+            return Ok((self.scene.run_under(self.control(), observe)?, None));
+        };
+        let mut driven = electrical.driven(&self.scene)?;
+        let hold = |torque_nm: f64, duration_s: f64| driven.hold(torque_nm, duration_s);
+        let report = self.scene.run_on(hold, self.control(), observe)?;
+        let windings = Windings {
+            delivery: electrical.delivery,
+            told: self.told,
+            passed: driven.passed(),
+        };
+        Ok((report, Some(windings)))
+    }
+
+    /// The knob with its windings, if it has any.
+    pub fn powered(&self) -> Option<Setup> {
+        let electrical = self.electrical.as_ref()?;
+        Some(electrical.setup(&self.scene))
+    }
+
+    /// Whether it has windings.
+    pub fn is_electrical(&self) -> bool {
+        self.electrical.is_some()
     }
 
     /// What its controller does at the start and from then on.
@@ -109,6 +162,7 @@ impl Loaded {
             ("no stiffness", config.stiffness_nm_rad == 0.0),
             ("damping", config.damping_nm_s_rad != 0.0),
             ("a hand", self.has_hand()),
+            ("windings", self.is_electrical()),
             ("cogging or stiction", scene.motor != Motor::default()),
             (
                 "delay, lag or steps of the torque",
@@ -171,7 +225,13 @@ pub(crate) fn load_device(path: &Path) -> Result<SampledDevice> {
     let text = read(path)?;
     let parsed = toml::from_str(&text).map_err(anyhow::Error::from);
     parsed
-        .and_then(|file: DeviceFile| sampled_device(&file.device, &file.sampling))
+        .and_then(|mut file: DeviceFile| {
+            if let Some(table) = &file.electrical {
+                let believed = BelievedTable::default();
+                electrical::read(table, &believed, &file.device, &mut file.sampling)?;
+            }
+            sampled_device(&file.device, &file.sampling)
+        })
         .with_context(|| path.display().to_string())
 }
 
@@ -181,7 +241,16 @@ fn read(path: &Path) -> Result<String> {
 
 /// Checks the text of a scene file.
 pub fn parse(text: &str) -> Result<Loaded> {
-    let file: SceneFile = toml::from_str(text)?;
+    let mut file: SceneFile = toml::from_str(text)?;
+    let electrical = match &file.electrical {
+        Some(table) => Some(electrical::read(
+            table,
+            &file.believed,
+            &file.device,
+            &mut file.sampling,
+        )?),
+        None => no_windings(&file.believed)?,
+    };
     let sampled = sampled_device(&file.device, &file.sampling)?;
     let sampling = &file.sampling;
     let clock = Clock {
@@ -255,7 +324,29 @@ pub fn parse(text: &str) -> Result<Loaded> {
         samples: file.run.samples,
         seed: file.run.seed,
     };
-    Ok(Loaded { scene, plan })
+    Ok(Loaded {
+        scene,
+        plan,
+        told: config.timing,
+        electrical,
+    })
+}
+
+/// Refuses what only a drive is told.
+fn no_windings(believed: &BelievedTable) -> Result<Option<Electrical>> {
+    for (key, value) in [
+        ("resistance_ohm", believed.resistance_ohm),
+        ("d_inductance_h", believed.d_inductance_h),
+        ("q_inductance_h", believed.q_inductance_h),
+        ("inductance_h", believed.inductance_h),
+    ] {
+        if value.is_some() {
+            bail!(
+                "believed.{key} is given, but there are no windings; accepted: with [electrical]"
+            );
+        }
+    }
+    Ok(None)
 }
 
 fn sampled_device(device: &DeviceTable, sampling: &LoopTable) -> Result<SampledDevice> {

@@ -14,7 +14,7 @@ pub const IMAGE: &str = "target/firmware/emulated.elf";
 pub struct ImageChoice {
     /// The firmware's image [default: target/firmware/emulated.elf, which `cargo xtask firmware` builds]
     #[arg(long, value_name = "ELF", env = "KNOB_FIRMWARE")]
-    firmware: Option<PathBuf>,
+    pub firmware: Option<PathBuf>,
 }
 
 impl ImageChoice {

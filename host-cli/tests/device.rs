@@ -1,6 +1,7 @@
 //! The commands that talk to a board, against the firmware itself on a pseudo-terminal.
 #![cfg(target_os = "linux")]
 
+#[allow(dead_code, reason = "shared with tests that use more of it")]
 mod native;
 
 use std::fs;

@@ -284,3 +284,25 @@ fn an_image_that_is_none_is_refused() {
         assert!(said.contains(words), "{said}");
     }
 }
+
+#[test]
+fn a_scene_with_windings_runs_the_image_with_a_power_stage() {
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    let image = scenes.join("../target/firmware/emulated_drive.elf");
+    let (scene, image) = (scenes.join("re35-brushed.toml"), image);
+    let emulated = Emulated::start(&[
+        "--scene",
+        scene.to_str().unwrap(),
+        "--firmware",
+        image.to_str().unwrap(),
+    ]);
+    let info = json(&["info", "--port", &emulated.port, "--json"]);
+    assert!(info.to_string().contains("emulated_drive"), "{info}");
+    // Nothing is known of its motor yet.
+    let arm = knob()
+        .args(["arm", "--port", &emulated.port])
+        .output()
+        .unwrap();
+    assert!(!arm.status.success());
+    assert_eq!(emulated.interrupt(), Some(130));
+}

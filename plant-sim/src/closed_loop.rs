@@ -13,7 +13,7 @@ use crate::drive::Drive;
 use crate::energy::{self, Exchange, Ledger};
 use crate::hand::Hand;
 use crate::hold::State;
-use crate::knob::{Knob, KnobError};
+use crate::knob::{Interval, Knob, KnobError};
 use crate::motor::Motor;
 use crate::outcome::{Class, DIVERGED_COUNTS, Peaks};
 
@@ -184,7 +184,24 @@ impl Scene {
         observe: impl FnMut(&Sample) -> bool,
     ) -> Result<Report, SceneError> {
         self.check()?;
-        Ok(self.run_plant(self.knob()?, control, observe))
+        let mut knob = self.knob()?;
+        let hold = |torque_nm: f64, duration_s: f64| knob.hold(torque_nm, duration_s);
+        Ok(self.run_plant(hold, control, observe))
+    }
+
+    /// The same on another plant: `hold` moves the scene's device, from its start, under a commanded torque
+    /// (Nm) for a time (s). See [`crate::driven`].
+    ///
+    /// # Errors
+    /// See [`SceneError`].
+    pub fn run_on(
+        &self,
+        hold: impl FnMut(f64, f64) -> Interval,
+        control: impl FnMut(u32, f32) -> Tick,
+        observe: impl FnMut(&Sample) -> bool,
+    ) -> Result<Report, SceneError> {
+        self.check()?;
+        Ok(self.run_plant(hold, control, observe))
     }
 
     /// Refuses a clock that is none, and a start that cannot be counted.
@@ -205,10 +222,10 @@ impl Scene {
         )
     }
 
-    /// [`Scene::run_under`] with a knob at its start.
+    /// [`Scene::run_on`] of a scene that was checked.
     pub(crate) fn run_plant(
         &self,
-        mut knob: Knob,
+        mut hold: impl FnMut(f64, f64) -> Interval,
         mut control: impl FnMut(u32, f32) -> Tick,
         mut observe: impl FnMut(&Sample) -> bool,
     ) -> Report {
@@ -297,7 +314,7 @@ impl Scene {
 
             duration_s = ticks.next().unwrap_or(self.clock.period_s);
             time_s += duration_s;
-            let interval = knob.hold(torque, duration_s);
+            let interval = hold(torque, duration_s);
             let potential_change = potential.per_stiffness(interval.end.position)
                 - potential.per_stiffness(state.position);
             report.ledger.enter(Exchange {

@@ -214,7 +214,9 @@ impl Simplified {
         control: impl FnMut(u32, f32) -> Tick,
         observe: impl FnMut(&Sample) -> bool,
     ) -> Report {
-        self.scene.run_plant(self.knob.clone(), control, observe)
+        let mut knob = self.knob.clone();
+        let hold = |torque_nm: f64, duration_s: f64| knob.hold(torque_nm, duration_s);
+        self.scene.run_plant(hold, control, observe)
     }
 }
 

@@ -17,6 +17,7 @@
 //!   that is not even;
 //! - [`electrical`]: windings behind an inverter, PWM period by PWM period, for scenes that ask for it;
 //! - [`powered`]: the knob and its windings together, with a board's sensors and what can break of them;
+//! - [`driven`]: that under a drive which brings the torque of a controller;
 //! - [`fidelity`]: a scene without what cannot change its answer, with a bound on the error;
 //! - [`identify`]: inertia and friction from a recording, as the set of all that explain every count;
 //! - [`lockstep`]: the firmware in an emulator, tick by tick with the exact plant (Unix);
@@ -37,6 +38,7 @@ pub mod closed_loop;
 pub mod compare;
 pub mod display;
 pub mod drive;
+pub mod driven;
 pub mod electrical;
 pub mod energy;
 pub mod fidelity;

@@ -8,6 +8,12 @@ use crate::powered::{Powered, Sensed, Turned};
 use crate::qemu::Qemu;
 pub use crate::qemu::{LockstepError, SETTINGS_BYTES};
 
+/// The board's PWM period, s.
+pub const PWM_PERIOD_S: f64 = 1.0 / 24e3;
+
+/// The step of its current converters, A.
+pub const CURRENT_STEP_A: f64 = 3.3 / 4096.0 / 80.0 / 0.5e-3;
+
 /// What the chip is to do next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u32)]

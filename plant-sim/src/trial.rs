@@ -17,6 +17,7 @@ use crate::closed_loop::{Potential, Report, Sample, Scene, SceneError};
 use crate::drive::Drive;
 use crate::hand::Hand;
 use crate::hold::State;
+use crate::knob::Interval;
 use crate::motor::Motor;
 use crate::outcome::Class;
 
@@ -271,6 +272,34 @@ impl Trial {
         &self,
         control: impl FnMut(u32, f32) -> Tick,
         stored_j: f64,
+        observe: impl FnMut(&Sample) -> bool,
+    ) -> Result<Verdict, SceneError> {
+        self.scene.check()?;
+        let mut knob = self.scene.knob()?;
+        let hold = |torque_nm: f64, duration_s: f64| knob.hold(torque_nm, duration_s);
+        self.watch_on(hold, control, stored_j, observe)
+    }
+
+    /// Runs the trial under the controller of its configuration on another plant: see [`Scene::run_on`].
+    ///
+    /// # Errors
+    /// See [`SceneError`].
+    pub fn run_on(&self, hold: impl FnMut(f64, f64) -> Interval) -> Result<Verdict, SceneError> {
+        let plan = Plan::new(&self.scene.config)?;
+        let mut controller = self.controller(plan)?;
+        self.watch_on(
+            hold,
+            |counter, duration_s| controller.tick(counter, duration_s),
+            self.stored_j(&plan),
+            |_| true,
+        )
+    }
+
+    fn watch_on(
+        &self,
+        hold: impl FnMut(f64, f64) -> Interval,
+        control: impl FnMut(u32, f32) -> Tick,
+        stored_j: f64,
         mut observe: impl FnMut(&Sample) -> bool,
     ) -> Result<Verdict, SceneError> {
         let mut scene = self.scene;
@@ -292,7 +321,7 @@ impl Trial {
                 + scene.device.coulomb_nm * scene.config.count_rad()
                 + scene.hand.push_nm.abs() * (furthest_rad + scene.start.position.abs())
         };
-        let report = scene.run_under(control, |sample| {
+        let report = scene.run_on(hold, control, |sample| {
             let torque_nm = f64::from(sample.tick.torque_nm);
             let State { position, velocity } = sample.state;
             if torque_nm != 0.0 {

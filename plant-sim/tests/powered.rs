@@ -416,7 +416,7 @@ proptest! {
         setup.device.viscous_nm_s_rad = 2.0 * spring / 100.0;
         let mut knob = powered(&setup);
         let duty = 0.5 + volts / BUS_V;
-        for _ in 0..24_000 {
+        for _ in 0..12_000 {
             knob.period(Some([duty, 0.5 - 0.5 * volts / BUS_V, 0.5 - 0.5 * volts / BUS_V]));
         }
         let counter = f64::from(knob.sensed().counter.cast_signed());

@@ -116,6 +116,8 @@ fn torque_is_within_one_percent_half_a_millisecond_after_the_haptic_tick() {
                 let step = step(&motor, n, current_a, 8192);
                 let given_a = step.commanded_nm / f64::from(motor.torque_constant_nm_a);
                 assert!(given_a / current_a > 0.8, "{given_a} A for {current_a}");
+                // One PWM period after the tick's count, whatever n is, torque begins to change.
+                assert!(step.torques_nm[0] / step.commanded_nm > 0.05);
                 // Of these, the first is the second of the twelve of half a millisecond.
                 for (period, torque_nm) in step.torques_nm.iter().enumerate().skip(11) {
                     let error = torque_nm / step.commanded_nm - 1.0;
@@ -188,9 +190,11 @@ fn any_motor() -> impl Strategy<Value = Motor> {
     prop_oneof![three_phase_motors(), gimbal_motors(), brushed_motors()]
 }
 
-/// The largest current that the bus can drive through a motor, with some of it left for the loop, A.
+/// The largest step of current that is not held up by the bus, of which a loop asks (ω_c·L + R)·current at once, A.
 fn drivable_a(motor: &Motor) -> f64 {
-    (0.4 * 8.0 / f64::from(motor.resistance_ohm)).min(15.0)
+    let inductance_h = motor.d_inductance_h.max(motor.q_inductance_h);
+    let volts_a = 0.29 / PWM_S * f64::from(inductance_h) + f64::from(motor.resistance_ohm);
+    (9.0 / volts_a).min(15.0)
 }
 
 proptest! {

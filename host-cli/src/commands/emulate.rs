@@ -1,5 +1,7 @@
 //! `knob emulate`: the firmware in the emulator, in lockstep with the exact plant, on a serial port.
 
+mod powered;
+
 use std::collections::VecDeque;
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Write};
@@ -74,9 +76,23 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(path) = &args.settings {
         settings_file(path).with_context(|| format!("--settings: {}", path.display()))?;
     }
-    let (plant, start) = match &args.scene {
-        Some(path) => {
-            let scene = scene::load(path)?.scene;
+    let scene = match &args.scene {
+        Some(path) => Some((path, scene::load(path)?)),
+        None => None,
+    };
+    let settings = args.settings.as_deref();
+    if let Some((path, setup)) = scene
+        .as_ref()
+        .and_then(|(path, scene)| Some((path, scene.powered()?)))
+    {
+        let mut bench = powered::boot(args.image.firmware.as_deref(), &setup, settings)
+            .with_context(|| path.display().to_string())?;
+        return on_port(args, record, |port, rows| {
+            powered::serve(&mut bench, port, args.pace, stop::requested, rows)
+        });
+    }
+    let (plant, start) = match scene {
+        Some((path, scene::Loaded { scene, .. })) => {
             if scene.hand != Hand::default()
                 || scene.drive != Drive::default()
                 || scene.motor != Motor::default()
@@ -101,8 +117,22 @@ pub fn run(args: &Args) -> Result<()> {
             (Plant::new(known.device, known.counts_per_rev, 0.0)?, rest)
         }
     };
-    let mut session = args.image.boot(plant, args.settings.as_deref())?;
+    let mut session = args.image.boot(plant, settings)?;
     session.bench.plant.let_go(start.velocity);
+    on_port(args, record, |port, rows| {
+        serve(&mut session, port, args.pace, stop::requested, rows)
+    })
+}
+
+/// Writes a row of the record: time, knob, torque.
+type Rows<'a> = &'a mut dyn FnMut(f64, State, f32) -> Result<()>;
+
+/// Opens a port, says which, and serves until Ctrl-C.
+fn on_port(
+    args: &Args,
+    mut record: Option<Output>,
+    serve: impl FnOnce(&mut Port, Rows<'_>) -> Result<()>,
+) -> Result<()> {
     let mut port = Port::open(args.port_link.as_deref())?;
     if args.json {
         say_line!("{}", serde_json::json!({ "port": port.path }));
@@ -110,18 +140,17 @@ pub fn run(args: &Args) -> Result<()> {
         say_line!("port {}", port.path.display());
         eprintln!("the firmware runs; try `knob info` in another terminal; Ctrl-C ends it");
     }
-    let mut record = record;
     if let Some(record) = &mut record {
         writeln!(record, "time_s,angle_rad,velocity_rad_s,torque_nm")?;
     }
-    let rows = |time_s: f64, state: State, torque_nm: f32| match &mut record {
+    let mut rows = |time_s: f64, state: State, torque_nm: f32| match &mut record {
         Some(record) => {
             let State { position, velocity } = state;
             writeln!(record, "{time_s},{position},{velocity},{torque_nm}")
         }
         None => Ok(()),
     };
-    serve(&mut session, &mut port, args.pace, stop::requested, rows)?;
+    serve(&mut port, &mut rows)?;
     publish_after_stop(record.into_iter().collect())?;
     Err(Ended.into())
 }

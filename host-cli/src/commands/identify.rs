@@ -182,7 +182,14 @@ const TORQUE_NM: f64 = 0.2;
 
 /// The experiment on the plant of a scene.
 fn simulated(args: &Args, path: &Path) -> Result<Recording> {
-    let Loaded { scene, .. } = scene::load(path)?;
+    let loaded = scene::load(path)?;
+    if loaded.is_electrical() {
+        bail!(
+            "{}: [electrical] is not part of the experiment; accepted: a scene without it",
+            path.display()
+        );
+    }
+    let Loaded { scene, .. } = loaded;
     let limits = limits(args, scene.config.torque_max_nm);
     let start = State {
         velocity: 0.0,

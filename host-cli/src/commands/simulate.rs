@@ -20,7 +20,7 @@ use crate::charts::run::{Curves, RunChart};
 use crate::number::{self, digits};
 use crate::output::{self, Output};
 use crate::reasons;
-use crate::scene::{self, Loaded};
+use crate::scene::{self, Loaded, Windings};
 use crate::stop::{self, Usage};
 
 /// Run one scene, or one dimensionless display, on the exact plant.
@@ -313,6 +313,48 @@ struct SceneJson {
     kept: Vec<&'static str>,
     /// Every angle is within this of the full scene's; 0 where nothing was left out.
     error_bound_rad: f64,
+    /// Of a scene with `[electrical]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    electrical: Option<ElectricalJson>,
+}
+
+#[derive(Serialize)]
+struct ElectricalJson {
+    /// What the drive says of its torque, and what the controller was told of its delay and lag.
+    delay_s: f64,
+    tau_s: f64,
+    torque_step_nm: f64,
+    torque_max_nm: f64,
+    told_delay_s: f64,
+    told_tau_s: f64,
+    min_bus_v: f64,
+    max_bus_v: f64,
+    /// The largest of a phase, in magnitude.
+    peak_current_a: f64,
+    /// From the bus.
+    drawn_j: f64,
+}
+
+impl From<&Windings> for ElectricalJson {
+    fn from(windings: &Windings) -> Self {
+        let Windings {
+            delivery,
+            told,
+            passed,
+        } = windings;
+        Self {
+            delay_s: delivery.delay_s,
+            tau_s: delivery.tau_s,
+            torque_step_nm: delivery.torque_step_nm,
+            torque_max_nm: delivery.torque_max_nm,
+            told_delay_s: told.delay_s,
+            told_tau_s: told.amplifier_tau_s,
+            min_bus_v: passed.bus_v[0],
+            max_bus_v: passed.bus_v[1],
+            peak_current_a: passed.current_a,
+            drawn_j: passed.drawn_j,
+        }
+    }
 }
 
 fn run_scene(args: &Args, path: &Path) -> Result<()> {
@@ -324,6 +366,13 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
         .into());
     }
     let loaded = scene::load(path)?;
+    if loaded.is_electrical() && args.fidelity == Fidelity::Auto {
+        return Err(Usage(format!(
+            "--fidelity auto: {} has [electrical], of which nothing can be left out; accepted: --fidelity full",
+            path.display()
+        ))
+        .into());
+    }
     let mut trace = prepare("--trace", args.trace.as_deref(), args.force)?;
     let mut plot = prepare("--plot", args.plot.as_deref(), args.force)?;
     for (flag, output, others) in [
@@ -374,10 +423,10 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
         }
         trouble.is_none() && !(sample.number.is_multiple_of(4096) && stop::requested())
     };
-    let report = match &simpler {
-        Some(answer) => answer.simplified.run_under(loaded.control(), observe),
+    let (report, windings) = match &simpler {
+        Some(answer) => (answer.simplified.run_under(loaded.control(), observe), None),
         None => loaded
-            .run(&mut observe)
+            .run_telling(&mut observe)
             .with_context(|| path.display().to_string())?,
     };
     if let Some(trouble) = trouble {
@@ -394,10 +443,13 @@ fn run_scene(args: &Args, path: &Path) -> Result<()> {
     }
     output::publish([trace, plot].into_iter().flatten().collect())?;
     if args.json {
-        let json = json(&loaded, &report, &last, simpler.as_ref())?;
+        let json = json(&loaded, &report, &last, simpler.as_ref(), windings.as_ref())?;
         return output::say(&(serde_json::to_string(&json)? + "\n"));
     }
     let mut text = describe(&loaded, &report, &last, end_s)?;
+    if let Some(windings) = &windings {
+        text += &of_the_windings(windings);
+    }
     if let Some(answer) = &simpler {
         text += &left_out(answer);
     }
@@ -429,6 +481,25 @@ fn simpler(args: &Args, loaded: &Loaded) -> Result<Option<Answer>> {
     )?))
 }
 
+/// How the torque came, and what the windings went through.
+fn of_the_windings(windings: &Windings) -> String {
+    let it = ElectricalJson::from(windings);
+    format!(
+        "torque       {} s late, then {} s of lag, in steps of {} Nm, up to {} Nm; the controller was told {} s and {} s\n\
+         bus          {} to {} V; up to {} A in a phase, {:.3e} J taken\n",
+        digits(it.delay_s, 4),
+        digits(it.tau_s, 4),
+        digits(it.torque_step_nm, 3),
+        digits(it.torque_max_nm, 3),
+        digits(it.told_delay_s, 4),
+        digits(it.told_tau_s, 4),
+        digits(it.min_bus_v, 4),
+        digits(it.max_bus_v, 4),
+        digits(it.peak_current_a, 4),
+        it.drawn_j
+    )
+}
+
 /// What was left out, what was kept and what that may have changed.
 fn left_out(answer: &Answer) -> String {
     let names = |phenomena: Phenomena| {
@@ -451,6 +522,7 @@ fn json(
     report: &Report,
     last: &Tick,
     simpler: Option<&Answer>,
+    windings: Option<&Windings>,
 ) -> Result<SceneJson> {
     let scene = &loaded.scene;
     let names = |phenomena: Phenomena| phenomena.iter().map(Phenomenon::as_str).collect();
@@ -484,6 +556,7 @@ fn json(
         stiffness_end_nm_rad: last.stiffness_nm_rad,
         min_account_j: report.account_j[0],
         max_account_j: report.account_j[1],
+        electrical: windings.map(ElectricalJson::from),
     })
 }
 

@@ -36,7 +36,7 @@ fn watch_by(
 }
 
 fn watch(loaded: &Loaded) -> Result<Watched> {
-    watch_by(loaded, |observe| Ok(loaded.run(observe)?))
+    watch_by(loaded, |observe| loaded.run(observe))
 }
 
 fn outcome(report: &Report) -> String {

@@ -10,6 +10,7 @@ pub struct SceneFile {
     pub device: DeviceTable,
     #[serde(rename = "loop")]
     pub sampling: LoopTable,
+    pub electrical: Option<ElectricalTable>,
     #[serde(default)]
     pub believed: BelievedTable,
     pub render: RenderTable,
@@ -21,13 +22,14 @@ pub struct SceneFile {
     pub run: RunTable,
 }
 
-/// A device file: the first two tables of a scene file. The others may be there.
+/// A device file: the tables of a scene file that say what is controlled. The others may be there.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DeviceFile {
     pub device: DeviceTable,
     #[serde(rename = "loop")]
     pub sampling: LoopTable,
+    pub electrical: Option<ElectricalTable>,
     #[serde(rename = "believed")]
     _believed: Option<IgnoredAny>,
     #[serde(rename = "render")]
@@ -79,6 +81,65 @@ pub struct LoopTable {
     pub missed_ticks: f64,
 }
 
+/// Windings behind an inverter, in place of delay, lag and steps of the torque.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ElectricalTable {
+    pub drive: DriveName,
+    pub resistance_ohm: f64,
+    /// Of three phases.
+    pub d_inductance_h: Option<f64>,
+    /// L_d where it is not given.
+    pub q_inductance_h: Option<f64>,
+    /// Of a brushed motor.
+    pub inductance_h: Option<f64>,
+    pub flux_wb: Option<f64>,
+    pub torque_constant_nm_a: Option<f64>,
+    pub pole_pairs: Option<u32>,
+    pub pwm_period_s: f64,
+    #[serde(default)]
+    pub pwm_steps: u16,
+    #[serde(default)]
+    pub dead_time_s: f64,
+    #[serde(default = "fifth")]
+    pub dead_time_edge_a: f64,
+    #[serde(default = "yes")]
+    pub late: bool,
+    pub current_step_a: Option<f64>,
+    #[serde(default)]
+    pub current_noise_a: f64,
+    /// Of phases B and C.
+    #[serde(default)]
+    pub current_offset_a: [f64; 2],
+    pub source_v: f64,
+    #[serde(default)]
+    pub source_ohm: f64,
+    #[serde(default)]
+    pub capacitance_f: f64,
+    #[serde(default = "yes")]
+    pub takes_back: bool,
+    pub bandwidth_rad_s: Option<f64>,
+    pub current_max_a: f64,
+    #[serde(default)]
+    pub tolerance: f64,
+}
+
+#[derive(Deserialize, Clone, Copy, PartialEq)]
+#[serde(rename_all = "lowercase")]
+pub enum DriveName {
+    Current,
+    Voltage,
+    Brushed,
+}
+
+fn fifth() -> f64 {
+    0.2
+}
+
+fn yes() -> bool {
+    true
+}
+
 fn one() -> u32 {
     1
 }
@@ -102,6 +163,11 @@ pub struct BelievedTable {
     pub torque_step_nm: Option<f64>,
     pub jitter_s: Option<f64>,
     pub missed_ticks: Option<f64>,
+    /// The next four are what a drive is told.
+    pub resistance_ohm: Option<f64>,
+    pub d_inductance_h: Option<f64>,
+    pub q_inductance_h: Option<f64>,
+    pub inductance_h: Option<f64>,
 }
 
 #[derive(Deserialize, Clone, Copy)]
