@@ -4,18 +4,20 @@ use std::collections::VecDeque;
 
 use control::criterion::Device;
 use control::torque::{BrushedMotor, ThreePhaseMotor};
+use firmware::board::Housekeeping;
 use firmware::current_tick::{CurrentTick, widened};
 use firmware::desk::{Desk, Identity};
 use firmware::power::{Bridge, ODRIVE_V3_24V, Sensed};
 use firmware::settings::{self, BoardKind, NO_MOTOR};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
+use firmware::upkeep::{PERIODS, Upkeep};
 use firmware::{Commands, Link, Measurements, Moves, Records};
 use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding};
 use plant_sim::hand::Hand;
 use plant_sim::hold::State;
 use plant_sim::powered::{self, EncoderSetup, Setup};
-use protocol::{Drive, Frames, Message, Motor, MotorChanges, Request};
+use protocol::{Drive, Frames, Message, Motor, MotorChanges, Request, ResetReason};
 
 use crate::twin::{Answer, answers, request_frame};
 
@@ -26,6 +28,8 @@ pub const COUNTER_BITS: u32 = 16;
 /// `firmware/src/app/power_stage.rs` in their order.
 pub struct PoweredTwin<K = NoStore> {
     current: CurrentTick<'static>,
+    upkeep: Upkeep<'static>,
+    slow_in: u32,
     desk: Desk<'static, K>,
     inbox: VecDeque<u8>,
     outbox: Vec<u8>,
@@ -56,7 +60,7 @@ impl<K: Keep> PoweredTwin<K> {
             git_hash,
             board: "emulated_drive",
             kind: BoardKind::Stage(ODRIVE_V3_24V),
-            reset: protocol::ResetReason::Unknown,
+            reset: ResetReason::Unknown,
         };
         let start = settings::start(&store.load(), &identity.kind).expect("the defaults settle");
         let ticker = Ticker::new(
@@ -69,6 +73,8 @@ impl<K: Keep> PoweredTwin<K> {
         );
         let power = start.settled.power.expect("a stage has settings");
         Self {
+            upkeep: Upkeep::new(link),
+            slow_in: PERIODS,
             current: CurrentTick::new(ticker, power, COUNTER_BITS, counter)
                 .telling(measurement_sender),
             desk: Desk::new(
@@ -109,6 +115,12 @@ impl<K: Keep> PoweredTwin<K> {
     /// One PWM period, and what follows it.
     pub fn period(&mut self, sensed: &Sensed, gate_fault: bool, overran: bool) -> Bridge {
         let bridge = self.current.tick(sensed, gate_fault, overran);
+        // The slow task is above the desk.
+        self.slow_in -= 1;
+        if self.slow_in == 0 {
+            self.slow_in = PERIODS;
+            self.upkeep.run(&mut QuietBoard);
+        }
         if self.current.was_haptic() {
             self.serve();
         }
@@ -130,6 +142,29 @@ impl<K: Keep> PoweredTwin<K> {
     pub fn take_messages(&mut self) -> Vec<Answer> {
         let bytes = self.take_output();
         answers(&mut self.frames, &bytes)
+    }
+}
+
+/// The slow side of a board on which all is well.
+struct QuietBoard;
+
+impl Housekeeping for QuietBoard {
+    fn temperature_c(&mut self) -> f32 {
+        25.0
+    }
+
+    fn gate_driver(&mut self) -> Result<(), [u16; 2]> {
+        Ok(())
+    }
+
+    fn restart_gate_driver(&mut self) -> Result<(), [u16; 2]> {
+        Ok(())
+    }
+
+    fn feed_watchdog(&mut self) {}
+
+    fn reset_reason(&self) -> ResetReason {
+        ResetReason::Unknown
     }
 }
 

@@ -198,6 +198,15 @@ impl Plan {
         })
     }
 
+    /// The same with another torque limit, Nm, 0 or more.
+    pub(crate) fn limit_torque(&mut self, most_nm: f32) {
+        self.torque_max_nm = most_nm;
+        self.ledger.torque_max_nm = most_nm;
+        if self.bare_up_to_nm >= 0.0 {
+            self.bare_up_to_nm = most_nm;
+        }
+    }
+
     /// The constants of the ledger.
     #[must_use]
     #[inline]

@@ -26,7 +26,7 @@ use crate::ledger::Ledger;
 use crate::margin::reachable_speed_rad_s;
 use crate::motion::{Interval, Motion};
 use crate::plan::Plan;
-use crate::real::smaller;
+use crate::real::{larger, smaller};
 use crate::shape::Reading;
 
 /// Why the stiffness or the torque is less than demanded.
@@ -82,6 +82,8 @@ pub struct Tick {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Controller {
     plan: Plan,
+    /// The plan's torque limit as it was made, Nm; the plan here has the one in force.
+    torque_max_nm: f32,
     encoder: Encoder,
     applied_nm_rad: f32,
     /// The least that the margin allowed in this contact, Nm/rad.
@@ -102,6 +104,7 @@ impl Controller {
     pub fn new(plan: Plan, hardware_count: i32) -> Self {
         Self {
             plan,
+            torque_max_nm: plan.torque_max_nm,
             encoder: Encoder::new(plan.encoder(), hardware_count),
             applied_nm_rad: match plan.law {
                 Law::Episode => smaller(plan.limit_nm_rad, plan.criterion.largest_stiffness()),
@@ -144,10 +147,46 @@ impl Controller {
         }
     }
 
+    /// Sets the torque limit of the next tick (Nm; below 0 or not a number counts as 0), at most the plan's, and
+    /// returns it. It falls at once. It rises where that adds no energy: under the ledger in any tick; to a
+    /// spring where no torque between here and its zero is cut, so that what it stores stays the same.
+    pub fn limit_torque(&mut self, most_nm: f32) -> f32 {
+        let wanted_nm = smaller(larger(0.0, most_nm), self.torque_max_nm);
+        let now_nm = self.plan.torque_max_nm;
+        if wanted_nm < now_nm || self.in_force == Law::Ledger || self.cuts_nothing(now_nm) {
+            self.plan.limit_torque(wanted_nm);
+        }
+        self.plan.torque_max_nm
+    }
+
+    /// [`Self::limit_torque`] at a part of the plan's limit; returns the part in force, 1 where it is all.
+    pub fn raise_torque(&mut self, part: f32) -> f32 {
+        let full_nm = self.torque_max_nm;
+        let limit_nm = self.limit_torque(if part < 1.0 { part * full_nm } else { full_nm });
+        if limit_nm < full_nm {
+            limit_nm / full_nm
+        } else {
+            1.0
+        }
+    }
+
+    /// Whether the spring in force stays within a torque from its zero to where the knob is.
+    fn cuts_nothing(&self, torque_nm: f32) -> bool {
+        let reading = self.plan.profile.read(self.encoder.count());
+        // Of a detent too: sin x ≤ x.
+        self.plan.at_zero_force(&reading)
+            || self.applied_nm_rad * reading.deflection_rad.abs() <= torque_nm
+    }
+
     /// Takes another plan with the same encoder and period. What is felt changes without a
-    /// step upwards: see the module.
-    pub fn adopt(&mut self, plan: Plan) {
+    /// step upwards: see the module. A torque limit that was rising goes on from where it is.
+    pub fn adopt(&mut self, mut plan: Plan) {
         let old = self.plan;
+        let rising = old.torque_max_nm < self.torque_max_nm;
+        self.torque_max_nm = plan.torque_max_nm;
+        if rising {
+            plan.limit_torque(smaller(old.torque_max_nm, plan.torque_max_nm));
+        }
         // Raw vouches for no energy; the others for what was put into their spring.
         let stored_j = match self.in_force {
             Law::Static | Law::Episode => self.stored_j(self.encoder.count()),
@@ -487,10 +526,16 @@ impl Controller {
         0.5 * self.plan.demanded_nm_rad() * (furthest * furthest)
     }
 
-    /// What was put into the spring in force, at a count, J.
+    /// What was put into the spring in force, at a count, J: at least. Where the torque limit cuts, the torque rises
+    /// to it and stays there, so that at least half of limit times deflection was put in; of a detent too, as
+    /// its torque is concave from the minimum to the top.
     fn stored_j(&self, count: i32) -> f32 {
         let profile = &self.plan.profile;
-        let all = self.applied_nm_rad * profile.potential_rad2(&profile.read(count));
+        let reading = profile.read(count);
+        let all = smaller(
+            self.applied_nm_rad * profile.potential_rad2(&reading),
+            0.5 * self.plan.torque_max_nm * reading.deflection_rad.abs(),
+        );
         let paid = all - self.unpaid_j;
         if paid > 0.0 { paid } else { 0.0 }
     }
@@ -690,6 +735,39 @@ mod tests {
         for count in [5000, -5000] {
             let tick = tick(&mut spring, count);
             assert_eq!((tick.torque_nm.abs(), tick.reason), (0.01, Reason::Torque));
+        }
+    }
+
+    proptest! {
+        /// ∫ min(K f, limit) from the zero to where the knob is.
+        #[test]
+        fn a_spring_under_a_limit_stores_no_more_than_was_put_in(
+            detent in any::<bool>(),
+            stiffness in 0.01..2.0f64,
+            limit_nm in 1e-4..0.1f32,
+            count in -130..130_i32,
+        ) {
+            let period_rad = 0.2;
+            let shape = if detent {
+                Shape::Detent { centre_rad: 0.0, period_rad }
+            } else {
+                SPRING
+            };
+            let mut controller = controller(&re35(Law::Raw, shape, stiffness));
+            prop_assert_eq!(controller.limit_torque(limit_nm), limit_nm);
+            let reading = controller.plan.profile.read(count);
+            let way = f64::from(reading.deflection_rad.abs());
+            let torque = |x: f64| {
+                let turn = core::f64::consts::TAU / period_rad;
+                let pull = if detent { (turn * x).sin() / turn } else { x };
+                (stiffness * pull).min(f64::from(limit_nm))
+            };
+            let steps = 2_000;
+            let step = way / f64::from(steps);
+            let put_in: f64 = (0..steps).map(|i| torque((f64::from(i) + 0.5) * step) * step).sum();
+            let stored = f64::from(controller.stored_j(count));
+            prop_assert!(stored <= put_in * (1.0 + 1e-4), "{stored:e} of {put_in:e}");
+            prop_assert!(stored >= 0.49 * put_in, "{stored:e} of {put_in:e}");
         }
     }
 

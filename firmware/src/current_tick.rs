@@ -23,9 +23,10 @@ use protocol::{ExcitationEnd, Fault};
 
 use crate::MeasurementSender;
 use crate::commission::{Run, Told};
-use crate::drive::{MOST_WINDOW, Power};
+use crate::drive::{MOST_WINDOW, MotorDrive, Power};
+use crate::guard::{Guard, Seen};
 use crate::power::{Bridge, Sensed};
-use crate::ticker::{StateCode, Ticker};
+use crate::ticker::{StateCode, Stood, Ticker, Watch};
 
 /// The current tick, and all that it owns.
 pub struct CurrentTick<'a> {
@@ -38,6 +39,9 @@ pub struct CurrentTick<'a> {
     torque_nm: f32,
     /// Found since the last haptic tick; the bridge is off from then on.
     fault: Option<Fault>,
+    /// How things stood then.
+    stood: Stood,
+    guard: Guard,
     /// A motor is being measured.
     run: Option<Run>,
     /// How that ended, until the desk has been told.
@@ -57,6 +61,8 @@ impl<'a> CurrentTick<'a> {
             motion: Motion::new(counter_bits, counter),
             torque_nm: 0.0,
             fault: None,
+            stood: Stood::default(),
+            guard: Guard::new(),
             run: None,
             ended: None,
             measurements: None,
@@ -77,24 +83,58 @@ impl<'a> CurrentTick<'a> {
     #[inline]
     pub fn tick(&mut self, sensed: &Sensed, gate_fault: bool, overran: bool) -> Bridge {
         let count = self.motion.follow(sensed.counter);
-        // While disarmed, saving may keep the chip for longer than a period.
-        if overran && self.ticker.state() != StateCode::Disarmed {
-            self.fault = Some(Fault::CurrentOverrun);
-        }
-        if gate_fault {
-            self.fault = Some(Fault::GateDriver);
+        let seen = self.seen(sensed);
+        let state = self.ticker.state();
+        let wrong = if state == StateCode::Calibrating {
+            // What the motor bears is not known yet: current and speed are the run's to watch.
+            self.guard.look_at_bus(&self.power.limits, sensed.bus_v)
+        } else {
+            self.guard.look(&self.power.limits, &seen)
+        };
+        if self.fault.is_none() && state != StateCode::Fault {
+            self.stood = Stood {
+                currents: seen.currents,
+                bus_v: seen.bus_v,
+            };
+            // While disarmed, saving may keep the chip for longer than a period.
+            self.fault = if gate_fault {
+                Some(Fault::GateDriver)
+            } else if overran && state != StateCode::Disarmed {
+                Some(Fault::CurrentOverrun)
+            } else {
+                wrong
+            };
         }
         if self.due_in <= 1 {
-            let fault = self.fault.take();
+            let watch = Watch {
+                found: self.fault.take(),
+                stood: self.stood,
+                guard: &self.guard,
+            };
             let output = self
                 .ticker
-                .tick_with(&mut self.power, &mut self.run, count, fault);
+                .tick_with(&mut self.power, &mut self.run, count, &watch);
             self.torque_nm = output.torque_nm;
             self.due_in = self.power.every;
         } else {
             self.due_in -= 1;
         }
-        self.bridge(sensed, count)
+        self.bridge(sensed, &seen, count)
+    }
+
+    /// What the guard is shown, and the drive after it.
+    #[inline]
+    fn seen(&self, sensed: &Sensed) -> Seen {
+        let power = &self.power;
+        let counts = self.motion.counts_in(power.window);
+        Seen {
+            currents: power.sense.currents(sensed.currents),
+            bus_v: sensed.bus_v,
+            moved: self.motion.moved,
+            speed_rad_s: counts.wrapping_sub(counts.signum()) as f32 * power.count_speed_rad_s,
+            unexplained_v: power.drive.as_ref().map_or(0.0, MotorDrive::unexplained_v),
+            active: matches!(self.ticker.state(), StateCode::Armed | StateCode::Pushing),
+        }
     }
 
     /// True if the last period had a haptic tick in it.
@@ -106,13 +146,11 @@ impl<'a> CurrentTick<'a> {
 
     /// What the bridge is to do, as things stand.
     #[inline]
-    fn bridge(&mut self, sensed: &Sensed, count: i32) -> Bridge {
+    fn bridge(&mut self, sensed: &Sensed, seen: &Seen, count: i32) -> Bridge {
         if self.run.is_some() || self.ended.is_some() {
             return self.excite(sensed, count);
         }
-        let counts = self.motion.counts_in(self.power.window);
-        let speed_rad_s =
-            counts.wrapping_sub(counts.signum()) as f32 * self.power.count_speed_rad_s;
+        let speed_rad_s = seen.speed_rad_s;
         let Some(drive) = &mut self.power.drive else {
             return Bridge::Off;
         };
@@ -127,10 +165,10 @@ impl<'a> CurrentTick<'a> {
             (count, speed_rad_s, self.torque_nm)
         };
         let measured = Measured {
-            currents: self.power.sense.currents(sensed.currents),
+            currents: seen.currents,
             count,
             speed_rad_s,
-            bus_v: sensed.bus_v,
+            bus_v: seen.bus_v,
         };
         Bridge::On(drive.tick(torque_nm, &measured))
     }
@@ -197,6 +235,8 @@ struct Motion {
     /// 32 − the counter's bits.
     shift: u32,
     count: i32,
+    /// Since the period before.
+    moved: i32,
     past: [i32; HISTORY],
     /// Of the latest count.
     place: usize,
@@ -211,6 +251,7 @@ impl Motion {
         Self {
             shift: 32 - counter_bits.clamp(2, 32),
             count,
+            moved: 0,
             past: [count; HISTORY],
             place: 0,
             oldest: count,
@@ -224,6 +265,7 @@ impl Motion {
         let shift = self.shift & 31;
         let moved =
             (counter.wrapping_sub(self.count.cast_unsigned()) << shift).cast_signed() >> shift;
+        self.moved = moved;
         self.count = self.count.wrapping_add(moved);
         self.place = (self.place + 1) % HISTORY;
         let place = &mut self.past[self.place];

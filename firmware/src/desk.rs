@@ -6,8 +6,8 @@ use core::sync::atomic::Ordering::Relaxed;
 use control::config::Law;
 use control::tick::Reason;
 use protocol::{
-    Changes, ClampReason, Drive, Event, FRAME_MAX, Fields, Frames, FromDevice, Hello, MOVES_MAX,
-    Message, MotorChanges, Moves, Name, Refusal, Request, ResetReason, Snapshot, State, Status,
+    Changes, ClampReason, Drive, Event, FRAME_MAX, Fault, Fields, Frames, FromDevice, Hello,
+    MOVES_MAX, Message, MotorChanges, Moves, Name, Refusal, Request, ResetReason, State, Status,
     Stored, Subscription, Telemetry, ToDevice, VERSION, decode, encode,
 };
 
@@ -73,11 +73,11 @@ pub struct Desk<'a, K> {
     stored: Stored,
     /// The settings that the store would give at the next start, where it is known to.
     kept: Option<Settings>,
-    /// Of the last fault since the start.
-    snapshot: Option<Snapshot>,
     store: K,
     subscription: Subscription,
     pending: Option<Pending>,
+    /// The request to leave a fault that waits for the gate driver's restart.
+    clearing: Option<u16>,
     /// As long as the request may come again.
     pushed: Option<Pushed>,
     telling: Option<Telling>,
@@ -110,10 +110,10 @@ impl<'a, K: Keep> Desk<'a, K> {
             settings: start.settings,
             stored: start.stored,
             kept: (start.stored == Stored::Last).then_some(start.settings),
-            snapshot: None,
             store,
             subscription: Subscription::default(),
             pending: None,
+            clearing: None,
             pushed: None,
             telling: None,
             frames: Frames::new(),
@@ -146,8 +146,11 @@ impl<'a, K: Keep> Desk<'a, K> {
     /// tick, and sends some of what the tick has told. What is left is for the next call, which the next
     /// tick brings.
     pub fn serve(&mut self, mut read: impl FnMut() -> Option<u8>, mut write: impl FnMut(&[u8])) {
+        let runs = self.link.desk_runs.load(Relaxed);
+        self.link.desk_runs.store(runs.wrapping_add(1), Relaxed);
         self.answer_pending(&mut write);
-        while self.pending.is_none() {
+        self.clear_restarted(&mut write);
+        while self.pending.is_none() && self.clearing.is_none() {
             let Some(byte) = read() else { break };
             let request = match self.frames.push(byte) {
                 None => continue,
@@ -196,6 +199,17 @@ impl<'a, K: Keep> Desk<'a, K> {
             StateCode::Fault => State::Fault(self.link.fault()),
             StateCode::Calibrating => State::Calibrating,
             StateCode::Pushing => State::Pushing,
+        }
+    }
+
+    /// Leaves the fault, now that the gate driver was set up anew.
+    fn clear_restarted(&mut self, write: &mut impl FnMut(&[u8])) {
+        let done = self.link.restarts_done.load(Relaxed);
+        if self.link.restarts_asked.load(Relaxed) != done {
+            return;
+        }
+        if let Some(sequence) = self.clearing.take() {
+            self.command(sequence, Command::Clear, self.settings, false, write);
         }
     }
 
@@ -260,6 +274,18 @@ impl<'a, K: Keep> Desk<'a, K> {
             Request::Disarm => {
                 return self.command(sequence, Command::Disarm, self.settings, false, write);
             }
+            // Its shutdown is latched: it is set up anew by the slow task first, where there is one.
+            Request::Clear
+                if self.state() == State::Fault(Fault::GateDriver)
+                    && self.link.slow_runs.load(Relaxed) != 0 =>
+            {
+                let asked = self.link.restarts_asked.load(Relaxed);
+                self.link
+                    .restarts_asked
+                    .store(asked.wrapping_add(1), Relaxed);
+                self.clearing = Some(sequence);
+                return;
+            }
             Request::Clear => {
                 return self.command(sequence, Command::Clear, self.settings, false, write);
             }
@@ -302,7 +328,7 @@ impl<'a, K: Keep> Desk<'a, K> {
                 }
                 Err(refusal) => Message::Refused(refusal),
             },
-            Request::LastFault => Message::Snapshot(self.snapshot),
+            Request::LastFault => Message::Snapshot(self.link.snapshot()),
             Request::Push(_) if self.without_motor() => Message::Refused(Refusal::NoMotor),
             Request::Push(push) => match (self.pushed, self.push(push)) {
                 // Its answer was lost.
@@ -473,24 +499,10 @@ impl<'a, K: Keep> Desk<'a, K> {
         let tick = &record.tick;
         let gives_torque = matches!(record.state, StateCode::Armed | StateCode::Pushing);
         let message = match record.occasion {
-            Occasion::Fault(fault) => {
-                self.snapshot = Some(Snapshot {
-                    tick: record.number,
-                    fault,
-                    count: tick.count,
-                    moved: tick.moved,
-                    torque_nm: tick.torque_nm,
-                    current_b_a: 0.0,
-                    current_c_a: 0.0,
-                    bus_v: 0.0,
-                    temperature_c: 0.0,
-                    gate_driver: [0; 2],
-                });
-                Message::Event(Event::Fault {
-                    tick: record.number,
-                    fault,
-                })
-            }
+            Occasion::Fault(fault) => Message::Event(Event::Fault {
+                tick: record.number,
+                fault,
+            }),
             Occasion::Clamp => Message::Event(Event::Clamp {
                 tick: record.number,
                 reason: clamp_reason(tick.reason),

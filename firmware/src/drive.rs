@@ -14,6 +14,7 @@ use control::torque::{
 };
 use protocol::{Drive, Motor, MotorName, Refusal};
 
+use crate::guard::{self, Limits};
 use crate::power::StageFacts;
 use crate::settings::{HIGHEST, MOTOR_HIGHEST, MOTOR_LOWEST};
 
@@ -64,7 +65,8 @@ impl MotorDrive {
             bus_most_v: stage.bus_most_v,
             current_step_a: stage.current_step_a,
         };
-        let current_max_a = f64::from(motor.current_max_a);
+        let current_max_a =
+            f64::from(motor.current_max_a).min(guard::largest_current_a(motor, stage));
         let asked = LoopConfig {
             bandwidth_rad_s: BANDWIDTH / stage.pwm_period_s,
             current_max_a,
@@ -122,6 +124,17 @@ impl MotorDrive {
             Self::Current(drive) => drive.tick(torque_nm, measured),
             Self::Voltage(drive) => drive.tick(torque_nm, measured),
             Self::Brushed(drive) => drive.tick(torque_nm, measured),
+        }
+    }
+
+    /// The voltage that it takes beyond the motor's equation, V; 0 of a voltage drive, which does not look.
+    #[must_use]
+    #[inline]
+    pub fn unexplained_v(&self) -> f32 {
+        match self {
+            Self::Current(drive) => drive.unexplained_v(),
+            Self::Voltage(_) => 0.0,
+            Self::Brushed(drive) => drive.unexplained_v(),
         }
     }
 
@@ -187,10 +200,12 @@ pub struct Power {
     pub window: u32,
     /// The speed of one count in the window, rad/s.
     pub count_speed_rad_s: f32,
+    /// What puts torque to zero.
+    pub limits: Limits,
 }
 
 impl Power {
-    /// For a haptic tick in every `every`-th PWM period.
+    /// For a haptic tick in every `every`-th PWM period and a knob of at most `speed_max_rad_s`.
     ///
     /// # Errors
     /// As [`MotorDrive::new`].
@@ -198,6 +213,7 @@ impl Power {
         motor: &Motor,
         counts_per_rev: u32,
         every: u32,
+        speed_max_rad_s: f32,
         stage: &StageFacts,
     ) -> Result<Self, Refusal> {
         let drive = MotorDrive::new(motor, counts_per_rev, stage)?;
@@ -213,6 +229,7 @@ impl Power {
             reversed: motor.reversed,
             window,
             count_speed_rad_s: (TAU / f64::from(counts_per_rev) / window_s) as f32,
+            limits: Limits::new(motor, counts_per_rev, speed_max_rad_s, stage),
         })
     }
 

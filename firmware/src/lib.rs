@@ -5,6 +5,8 @@
 //! - [`desk`]: what answers the host, below the tick;
 //! - [`current_tick`]: on a board with a power stage, what the interrupt of every PWM period does, the tick in it;
 //! - [`drive`]: what drives the motor there;
+//! - [`guard`]: what puts its torque to zero, once in each PWM period;
+//! - [`upkeep`]: the slow work there, and the watchdog;
 //! - [`power`]: what a power stage and the firmware hand each other;
 //! - [`settings`]: parameters as they come over the wire, checked and made into a plan;
 //! - [`store`]: settings that survive, in two sectors of flash;
@@ -21,17 +23,20 @@ pub mod commission;
 pub mod current_tick;
 pub mod desk;
 pub mod drive;
+pub mod guard;
 pub mod odrive_v3;
 pub mod power;
 pub mod settings;
 pub mod store;
 pub mod ticker;
+pub mod upkeep;
 
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
+use control::tick::Tick;
 use heapless::spsc::{Consumer, Producer, Queue};
-use protocol::{Fault, PushEnd};
-use ticker::{Command, Record, StateCode};
+use protocol::{Fault, PushEnd, Snapshot};
+use ticker::{Command, Record, StateCode, Stood};
 
 const COMMANDS: usize = 2;
 const RECORDS: usize = 64;
@@ -79,9 +84,23 @@ pub struct Link {
     taken_at: AtomicU32,
     /// By the tick: records that found no room.
     dropped: AtomicU32,
-    /// By the tick, before it says that it is in fault: which, and the bits of its number.
+    /// By the tick, before it says that it is in fault: which, and the bits of its number; how many there were; and
+    /// how things stood then.
     fault: AtomicU32,
     fault_value: AtomicU32,
+    faults: AtomicU32,
+    stood: [AtomicU32; 8],
+    /// By the slow task: how often it ran, what it found, the temperature's bits, and the gate driver's words as read
+    /// last where they told of a fault, since the last fault.
+    slow_runs: AtomicU32,
+    slow_found: AtomicU32,
+    temperature: AtomicU32,
+    gate_driver: AtomicU32,
+    /// By the desk: how often it served; and how often it asked for a restart of the gate driver.
+    desk_runs: AtomicU32,
+    restarts_asked: AtomicU32,
+    /// By the slow task: how many of these are done.
+    restarts_done: AtomicU32,
     /// By the tick: how the last push ended; 0: it did not yet.
     push_end: AtomicU32,
     /// By the tick: the first tick of the last push without torque; `u32::MAX`: there was none yet.
@@ -115,6 +134,15 @@ impl Link {
             dropped: AtomicU32::new(0),
             fault: AtomicU32::new(0),
             fault_value: AtomicU32::new(0),
+            faults: AtomicU32::new(0),
+            stood: [const { AtomicU32::new(0) }; 8],
+            slow_runs: AtomicU32::new(0),
+            slow_found: AtomicU32::new(0),
+            temperature: AtomicU32::new(0),
+            gate_driver: AtomicU32::new(0),
+            desk_runs: AtomicU32::new(0),
+            restarts_asked: AtomicU32::new(0),
+            restarts_done: AtomicU32::new(0),
             push_end: AtomicU32::new(0),
             push_released: AtomicU32::new(0),
             push_from: AtomicU32::new(0),
@@ -173,6 +201,56 @@ impl Link {
             },
             11 => Fault::Encoder,
             _ => Fault::Guard,
+        }
+    }
+
+    /// By the tick, in the tick that finds a fault.
+    fn set_snapshot(&self, tick: &Tick, stood: &Stood) {
+        let words = [
+            self.tick.load(Relaxed),
+            tick.count.cast_unsigned(),
+            tick.moved.cast_unsigned(),
+            tick.torque_nm.to_bits(),
+            stood.currents.b_a.to_bits(),
+            stood.currents.c_a.to_bits(),
+            stood.bus_v.to_bits(),
+            self.temperature.load(Relaxed),
+        ];
+        for (place, word) in self.stood.iter().zip(words) {
+            place.store(word, Relaxed);
+        }
+        let faults = self.faults.load(Relaxed).wrapping_add(1);
+        self.faults.store(faults, Relaxed);
+    }
+
+    /// How things stood at the last fault since the start. The tick may find another while it is read; then it is read
+    /// again.
+    fn snapshot(&self) -> Option<Snapshot> {
+        let mut faults = self.faults.load(Relaxed);
+        loop {
+            if faults == 0 {
+                return None;
+            }
+            let [tick, count, moved, torque, b, c, bus, temperature] =
+                self.stood.each_ref().map(|word| word.load(Relaxed));
+            let gate_driver = self.gate_driver.load(Relaxed);
+            let snapshot = Snapshot {
+                tick,
+                fault: self.fault(),
+                count: count.cast_signed(),
+                moved: moved.cast_signed(),
+                torque_nm: f32::from_bits(torque),
+                current_b_a: f32::from_bits(b),
+                current_c_a: f32::from_bits(c),
+                bus_v: f32::from_bits(bus),
+                temperature_c: f32::from_bits(temperature),
+                gate_driver: [gate_driver as u16, (gate_driver >> 16) as u16],
+            };
+            let now = self.faults.load(Relaxed);
+            if now == faults {
+                return Some(snapshot);
+            }
+            faults = now;
         }
     }
 

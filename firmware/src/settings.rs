@@ -260,7 +260,13 @@ pub fn settle(settings: &Settings, board: &BoardKind) -> Result<Settled, Refusal
     let (mut power, mut delay_s) = (None, 0.0);
     if let BoardKind::Stage(stage) = board {
         let every = periods(parameters.sample_period_s, stage.pwm_period_s)?;
-        let made = Power::new(&settings.motor, parameters.counts_per_rev, every, stage)?;
+        let made = Power::new(
+            &settings.motor,
+            parameters.counts_per_rev,
+            every,
+            parameters.speed_max_rad_s,
+            stage,
+        )?;
         config.timing.period_s = f64::from(every) * stage.pwm_period_s;
         if let Some(delivery) =
             made.delivery(&settings.motor, stage, config.believed.inertia_kg_m2.low)

@@ -11,11 +11,13 @@ use core::sync::atomic::Ordering::Relaxed;
 use control::plan::Plan;
 use control::push::{Push, Pushing, Step};
 use control::tick::{Controller, Reason, Tick};
+use control::torque::sense::PhaseCurrents;
 
 use protocol::{Fault, PushEnd};
 
 use crate::commission::Run;
 use crate::drive::Power;
+use crate::guard::Guard;
 use crate::{CommandReceiver, Link, LinkStatus, MoveSender, RecordSender};
 
 /// What the desk tells the tick.
@@ -113,6 +115,47 @@ pub struct Output {
     pub period_s: Option<f32>,
 }
 
+/// After arming, the torque limit takes so long to rise to its full value, s.
+pub const RAMP_S: f32 = 0.1;
+
+/// A slow task that ran once and has not for so long is taken for dead, s.
+pub const SLOW_MOST_S: f32 = 0.5;
+
+/// What the current tick saw since the last haptic tick.
+pub struct Watch<'a> {
+    /// The first thing that was wrong.
+    pub found: Option<Fault>,
+    /// How things stood then, or now.
+    pub stood: Stood,
+    /// What it watches with.
+    pub guard: &'a Guard,
+}
+
+/// What a power stage measured. All 0, the default, where there is none.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stood {
+    /// The currents.
+    pub currents: PhaseCurrents,
+    /// The bus voltage, V.
+    pub bus_v: f32,
+}
+
+impl Default for Stood {
+    fn default() -> Self {
+        Self {
+            currents: PhaseCurrents { b_a: 0.0, c_a: 0.0 },
+            bus_v: 0.0,
+        }
+    }
+}
+
+/// What stands in the way of a command.
+#[derive(Debug, Clone, Copy, Default)]
+struct Against {
+    clearing: Option<Fault>,
+    arming: Option<Fault>,
+}
+
 /// The tick, and all that it owns.
 pub struct Ticker<'a> {
     controller: Controller,
@@ -122,6 +165,15 @@ pub struct Ticker<'a> {
     reason: Reason,
     /// Ticks until telemetry is due.
     due_in: u32,
+    /// Since arming, s.
+    ramp_s: f32,
+    /// The part of the torque limit that is in force.
+    ramp: f32,
+    /// The slow task's runs as seen last, and for how long there was none, s.
+    slow_runs: u32,
+    slow_silent_s: f32,
+    /// Why arming was refused.
+    barred: Option<Fault>,
     /// What is played while pushing.
     pushing: Option<Pushing>,
     link: &'a Link,
@@ -153,6 +205,11 @@ impl<'a> Ticker<'a> {
             status,
             reason: Reason::None,
             due_in: 0,
+            ramp_s: RAMP_S,
+            ramp: 1.0,
+            slow_runs: 0,
+            slow_silent_s: 0.0,
+            barred: None,
             pushing: None,
             link,
             commands,
@@ -175,10 +232,11 @@ impl<'a> Ticker<'a> {
         if self.status.state == StateCode::Armed {
             match fault_in(&tick, self.furthest_counts, overran) {
                 None => torque_nm = tick.torque_nm,
-                Some(fault) => self.fail(tick, fault),
+                Some(fault) => self.fail(tick, fault, &Stood::default()),
             }
         } else if self.status.state == StateCode::Pushing {
-            torque_nm = self.push(&mut tick, overran.then_some(Fault::Overrun));
+            let found = overran.then_some(Fault::Overrun);
+            torque_nm = self.push(&mut tick, found, &Stood::default());
         }
         self.tell(&tick);
         Output {
@@ -188,35 +246,48 @@ impl<'a> Ticker<'a> {
     }
 
     /// One tick on a board with a power stage, which comes as often as `power` says to the bit; a new motor goes there
-    /// while the bridge is off. A `fault` found since the last tick counts in every state.
+    /// while the bridge is off. What `watch` found since the last tick counts in every state. The torque limit rises
+    /// from 0 to its full value in [`RAMP_S`] after arming, or as soon after that as it adds no energy.
     #[inline]
     pub fn tick_with(
         &mut self,
         power: &mut Power,
         run: &mut Option<Run>,
         count: i32,
-        fault: Option<Fault>,
+        watch: &Watch<'_>,
     ) -> Output {
         self.begin();
         let elapsed_s = self.controller.plan().period_s();
+        let slow = self.slow_work(elapsed_s);
         let mut period_s = None;
         if self.commands.ready() {
-            period_s = self.obey(Some((power, run)));
+            let against = Against {
+                clearing: watch.guard.against_clearing().or(slow),
+                arming: watch.guard.against_arming(&power.limits).or(slow),
+            };
+            period_s = self.obey(Some((power, run, &against)));
+        }
+        if self.ramp < 1.0 {
+            self.raise(elapsed_s);
         }
         let mut tick = self.controller.tick(count.cast_unsigned(), elapsed_s);
         let mut torque_nm = 0.0;
-        let fault = match fault {
-            None if self.status.state == StateCode::Armed => {
-                fault_in(&tick, self.furthest_counts, false)
-            }
-            fault => fault,
-        };
+        let mut fault = watch.found.or(self.barred.take());
+        if fault.is_none() && self.status.state == StateCode::Armed {
+            fault = fault_in(&tick, self.furthest_counts, false)
+                .map(|fault| self.of_many_periods(fault));
+        }
+        if fault.is_none() && self.status.state != StateCode::Disarmed {
+            fault = slow;
+        }
         match fault {
             None if self.status.state == StateCode::Armed => torque_nm = tick.torque_nm,
             _ if self.status.state == StateCode::Pushing => {
-                torque_nm = self.push(&mut tick, fault);
+                torque_nm = self.push(&mut tick, fault, &watch.stood);
             }
-            Some(fault) if self.status.state != StateCode::Fault => self.fail(tick, fault),
+            Some(fault) if self.status.state != StateCode::Fault => {
+                self.fail(tick, fault, &watch.stood);
+            }
             _ => {}
         }
         self.tell(&tick);
@@ -247,10 +318,51 @@ impl<'a> Ticker<'a> {
         self.link.tick.store(number, Relaxed);
     }
 
+    /// Where a jump would have been seen in its PWM period, a long way is a speed.
+    fn of_many_periods(&self, fault: Fault) -> Fault {
+        match fault {
+            Fault::EncoderJump { counts } => Fault::OverSpeed {
+                speed_rad_s: counts as f32 * self.controller.plan().count_speed_rad_s(),
+            },
+            other => other,
+        }
+    }
+
+    /// What is wrong with what the slow task watches, or with itself: it ran once and does not any more.
+    #[inline]
+    fn slow_work(&mut self, elapsed_s: f32) -> Option<Fault> {
+        let runs = self.link.slow_runs.load(Relaxed);
+        if runs != self.slow_runs {
+            self.slow_runs = runs;
+            self.slow_silent_s = 0.0;
+        } else if runs != 0 {
+            self.slow_silent_s += elapsed_s;
+            if self.slow_silent_s > SLOW_MOST_S {
+                return Some(Fault::OverTemperature {
+                    temperature_c: f32::NAN,
+                });
+            }
+        }
+        self.link.slow_fault()
+    }
+
+    /// The torque limit of this tick after arming.
+    #[cold]
+    #[inline(never)]
+    fn raise(&mut self, elapsed_s: f32) {
+        self.ramp_s += elapsed_s;
+        self.ramp = self.controller.raise_torque(self.ramp_s / RAMP_S);
+    }
+
     /// Takes the next command.
     #[cold]
     #[inline(never)]
-    fn obey(&mut self, stage: Option<(&mut Power, &mut Option<Run>)>) -> Option<f32> {
+    fn obey(&mut self, stage: Option<(&mut Power, &mut Option<Run>, &Against)>) -> Option<f32> {
+        let (power, run, against) = match stage {
+            Some((power, run, against)) => (Some(power), Some(run), *against),
+            None => (None, None, Against::default()),
+        };
+        let has_stage = power.is_some();
         let command = self.commands.dequeue()?;
         let mut period_s = None;
         let done = match (command, self.status.state) {
@@ -258,8 +370,10 @@ impl<'a> Ticker<'a> {
             (Command::Configure(_), StateCode::Pushing) => false,
             (Command::Configure(settled), state) => {
                 let off = matches!(state, StateCode::Disarmed | StateCode::Fault);
-                if let (Some((power, _)), Some(new), true) = (stage, settled.power, off) {
-                    *power = new;
+                match (power, settled.power) {
+                    (Some(power), Some(new)) if off => *power = new,
+                    (Some(power), Some(new)) => power.limits = new.limits,
+                    _ => {}
                 }
                 let (old, new) = (self.controller.plan(), settled.plan);
                 // With the same period, Δ/T is the same where Δ is. Believed jitter, delay and
@@ -280,13 +394,26 @@ impl<'a> Ticker<'a> {
                     false
                 }
             }
+            (Command::Arm | Command::Push(_), StateCode::Disarmed) if against.arming.is_some() => {
+                self.barred = against.arming;
+                false
+            }
             (Command::Arm, StateCode::Disarmed) => {
                 self.controller.release();
+                if has_stage {
+                    self.ramp_s = 0.0;
+                    self.ramp = self.controller.raise_torque(0.0);
+                }
                 self.status.state = StateCode::Armed;
                 true
             }
-            (Command::Excite(new), StateCode::Disarmed) => match stage {
-                Some((_, run)) => {
+            // Not by offsets: measuring them anew is what it is for.
+            (Command::Excite(_), StateCode::Disarmed) if against.clearing.is_some() => {
+                self.barred = against.clearing;
+                false
+            }
+            (Command::Excite(new), StateCode::Disarmed) => match run {
+                Some(run) => {
                     *run = Some(new);
                     self.status.state = StateCode::Calibrating;
                     true
@@ -308,7 +435,7 @@ impl<'a> Ticker<'a> {
                 true
             }
             (Command::Arm, StateCode::Armed) | (Command::Disarm, StateCode::Disarmed) => true,
-            (Command::Clear, StateCode::Fault) => {
+            (Command::Clear, StateCode::Fault) if against.clearing.is_none() => {
                 self.status.state = StateCode::Disarmed;
                 true
             }
@@ -326,8 +453,9 @@ impl<'a> Ticker<'a> {
 
     #[cold]
     #[inline(never)]
-    fn fail(&mut self, tick: Tick, fault: Fault) {
+    fn fail(&mut self, tick: Tick, fault: Fault, stood: &Stood) {
         self.link.set_fault(fault);
+        self.link.set_snapshot(&tick, stood);
         self.status.state = StateCode::Fault;
         self.link.set_status(self.status);
         self.record(tick, Occasion::Fault(fault));
@@ -336,7 +464,7 @@ impl<'a> Ticker<'a> {
     /// A tick of a push: the torque to give, Nm. Where the move finds no room, or a fault was `found`, the push is over.
     #[cold]
     #[inline(never)]
-    fn push(&mut self, tick: &mut Tick, found: Option<Fault>) -> f32 {
+    fn push(&mut self, tick: &mut Tick, found: Option<Fault>, stood: &Stood) -> f32 {
         let Some(pushing) = &mut self.pushing else {
             return 0.0;
         };
@@ -358,7 +486,7 @@ impl<'a> Ticker<'a> {
         }
         let end = match (fault, room, step) {
             (Some(fault), ..) => {
-                self.fail(*tick, fault);
+                self.fail(*tick, fault, stood);
                 PushEnd::Fault
             }
             (None, false, _) => PushEnd::NoRoom,

@@ -54,24 +54,33 @@ pub fn fault(fault: Fault) -> String {
         Fault::GateDriver => {
             "the gate driver reported a fault, or lost what was written to it".into()
         }
-        Fault::OverCurrent { current_a } => {
-            format!("a current of {} A is beyond what is safe", short(current_a))
-        }
+        Fault::OverCurrent { current_a } => format!(
+            "a current of {} A is beyond what is safe, or its converter stands at an end",
+            short(current_a)
+        ),
         Fault::CurrentSense => {
-            "the current converters cannot be believed: stuck, or currents that do not add up"
+            "the current converters cannot be believed: currents that do not add up, \
+             or some without a bridge that is on (`knob calibrate` measures them anew)"
                 .into()
         }
+        Fault::OverVoltage { bus_v } if bus_v.is_nan() => "the bus voltage is not a number".into(),
         Fault::OverVoltage { bus_v } => format!("the bus rose to {} V", short(bus_v)),
         Fault::UnderVoltage { bus_v } => format!("the bus fell to {} V", short(bus_v)),
+        Fault::OverTemperature { temperature_c } if temperature_c.is_nan() => {
+            "the temperature of the switches is not known any more".into()
+        }
         Fault::OverTemperature { temperature_c } => format!(
-            "the switches are at {} °C, or their sensor does not answer",
+            "the switches are at {} °C, or their sensor came off",
             short(temperature_c)
         ),
         Fault::OverSpeed { speed_rad_s } => format!(
             "the knob turned at {} rad/s, faster than it may",
             short(speed_rad_s)
         ),
-        Fault::Encoder => "the count does not follow the motor".into(),
+        Fault::Encoder => {
+            "the count does not follow the motor: the encoder, its wires, or the motor's values"
+                .into()
+        }
         Fault::Guard => "a push or a calibration went further than it may".into(),
     }
 }
@@ -307,6 +316,77 @@ mod tests {
         ] {
             let said = refusal(&given, "some board", None);
             for part in parts {
+                assert!(said.contains(part), "`{part}` is missing in: {said}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_fault_says_what_was_wrong() {
+        for (given, code, parts) in [
+            (Fault::Overrun, "overrun", &["tick"][..]),
+            (
+                Fault::EncoderJump { counts: -70 },
+                "encoder-jump",
+                &["-70 counts", "speed_max_rad_s"],
+            ),
+            (
+                Fault::TorqueNotFinite,
+                "torque-not-finite",
+                &["torque", "finite"],
+            ),
+            (Fault::CurrentOverrun, "current-overrun", &["current tick"]),
+            (Fault::GateDriver, "gate-driver", &["gate driver"]),
+            (
+                Fault::OverCurrent { current_a: 31.5 },
+                "over-current",
+                &["31.5 A", "converter"],
+            ),
+            (
+                Fault::CurrentSense,
+                "current-sense",
+                &["converters", "knob calibrate"],
+            ),
+            (
+                Fault::OverVoltage { bus_v: 26.0 },
+                "over-voltage",
+                &["26 V"],
+            ),
+            (
+                Fault::OverVoltage { bus_v: f32::NAN },
+                "over-voltage",
+                &["not a number"],
+            ),
+            (
+                Fault::UnderVoltage { bus_v: 7.5 },
+                "under-voltage",
+                &["7.5 V"],
+            ),
+            (
+                Fault::OverTemperature {
+                    temperature_c: 104.0,
+                },
+                "over-temperature",
+                &["104 °C"],
+            ),
+            (
+                Fault::OverTemperature {
+                    temperature_c: f32::NAN,
+                },
+                "over-temperature",
+                &["not known"],
+            ),
+            (
+                Fault::OverSpeed { speed_rad_s: 320.0 },
+                "over-speed",
+                &["320 rad/s"],
+            ),
+            (Fault::Encoder, "encoder", &["count", "motor"]),
+            (Fault::Guard, "guard", &["push", "calibration"]),
+        ] {
+            assert_eq!(fault_code(given), code);
+            let said = state_in_full(State::Fault(given));
+            for part in parts.iter().chain(&["knob clear"]) {
                 assert!(said.contains(part), "`{part}` is missing in: {said}");
             }
         }

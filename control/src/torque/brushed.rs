@@ -2,7 +2,8 @@
 
 use super::modulation::{Duties, Modulator};
 use super::regulator::{Gains, Regulator};
-use super::{BrushedMotor, Delivery, InverterConfig, LoopConfig, Measured, TorqueError, within};
+use super::{BrushedMotor, Delivery, InverterConfig, LoopConfig, Measured, TorqueError};
+use super::{unexplained_v, within};
 use crate::error::positive;
 
 /// Steps of the converter: between two codes the loop hunts, a little beyond the half of one.
@@ -18,6 +19,9 @@ pub struct BrushedLoop {
     current_per_torque_a_nm: f32,
     current_max_a: f32,
     torque_constant_nm_a: f32,
+    resistance_ohm: f32,
+    /// Measured last, A.
+    measured_a: f32,
     delivery: Delivery,
 }
 
@@ -53,6 +57,8 @@ impl BrushedLoop {
             )?,
             current_max_a: asked.current_max_a as f32,
             torque_constant_nm_a: constant as f32,
+            resistance_ohm: motor.resistance_ohm as f32,
+            measured_a: 0.0,
             delivery: asked.delivery(
                 constant,
                 CURRENT_STEPS * inverter.current_step_a,
@@ -79,7 +85,20 @@ impl BrushedLoop {
             .modulator
             .limited_line(self.regulator.volts(wanted_a - current_a) + forward_v, bus);
         self.regulator.follow(volts - forward_v);
+        self.measured_a = current_a;
         self.modulator.two_phase(volts, wanted_a, bus)
+    }
+
+    /// The voltage that it takes to bring the current, beyond that of the motor's equation and of a resistance that is
+    /// half as much again, V: |I − R i| − R |i|/2 with the integral I. A count that does not follow the rotor
+    /// leaves its back-EMF here.
+    #[must_use]
+    #[inline]
+    pub fn unexplained_v(&self) -> f32 {
+        unexplained_v(
+            self.regulator.integral_v(),
+            self.resistance_ohm * self.measured_a,
+        )
     }
 
     /// Forgets the past: to be called where the bridge was off.

@@ -4,7 +4,8 @@ use super::angle::{EncoderOnMotor, RotorAngle};
 use super::frames::{Rotating, Stationary};
 use super::modulation::{Duties, Modulator};
 use super::regulator::{Gains, Regulator};
-use super::{Delivery, InverterConfig, LoopConfig, Measured, ThreePhaseMotor, TorqueError, within};
+use super::{Delivery, InverterConfig, LoopConfig, Measured, ThreePhaseMotor, TorqueError};
+use super::{unexplained_v, within};
 use crate::error::positive;
 
 /// From the measurement to the middle of the period in which its duties are in force, periods.
@@ -38,6 +39,9 @@ pub struct CurrentLoop {
     d_inductance_h: f32,
     q_inductance_h: f32,
     flux_wb: f32,
+    resistance_ohm: f32,
+    /// Measured last, A.
+    measured: Rotating,
     /// Turns ahead, per rad/s of the electrical speed.
     ahead_turns_s_rad: f32,
     delivery: Delivery,
@@ -111,6 +115,8 @@ impl CurrentLoop {
             d_inductance_h: motor.d_inductance_h as f32,
             q_inductance_h: motor.q_inductance_h as f32,
             flux_wb: motor.flux_wb as f32,
+            resistance_ohm: motor.resistance_ohm as f32,
+            measured: Rotating { d: 0.0, q: 0.0 },
             ahead_turns_s_rad: ahead_turns_s_rad(inverter),
             delivery: asked.delivery(
                 constant,
@@ -149,6 +155,7 @@ impl CurrentLoop {
         );
         self.d.follow(volts.d - forward.d);
         self.q.follow(volts.q - forward.q);
+        self.measured = i;
         let then = angle.advanced(speed * self.ahead_turns_s_rad).rotation();
         let wanted = Rotating {
             d: 0.0,
@@ -156,6 +163,16 @@ impl CurrentLoop {
         };
         self.modulator
             .three_phase(volts.turned(then), wanted.turned(then), bus)
+    }
+
+    /// The voltage that it takes to bring the currents, beyond that of the motor's equations and of a resistance
+    /// that is half as much again, V: |I_d − R i_d| + |I_q − R i_q| − R (|i_d| + |i_q|)/2 with the integrals I. A count
+    /// that does not follow the rotor leaves its back-EMF here.
+    #[must_use]
+    #[inline]
+    pub fn unexplained_v(&self) -> f32 {
+        unexplained_v(self.d.integral_v(), self.resistance_ohm * self.measured.d)
+            + unexplained_v(self.q.integral_v(), self.resistance_ohm * self.measured.q)
     }
 
     /// Forgets the past: to be called where the bridge was off.

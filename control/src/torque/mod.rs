@@ -201,6 +201,12 @@ pub struct Delivery {
     pub tau_s: f64,
 }
 
+/// By how much an integral differs from a resistance's voltage by more than half of that, V.
+#[inline(always)]
+fn unexplained_v(integral_v: f32, resistive_v: f32) -> f32 {
+    (integral_v - resistive_v).abs() - 0.5 * resistive_v.abs()
+}
+
 /// `x`, or the end of ±`most` that it lies beyond; 0 for what is not a number.
 #[inline(always)]
 fn within(x: f32, most: f32) -> f32 {

@@ -91,6 +91,13 @@ impl Regulator {
         self.integral_v = within(next, self.most_v);
     }
 
+    /// I, V: R·i of the winding where it is as believed, and what else it takes to bring the current.
+    #[must_use]
+    #[inline]
+    pub fn integral_v(&self) -> f32 {
+        self.integral_v
+    }
+
     /// Forgets.
     pub fn clear(&mut self) {
         self.integral_v = 0.0;

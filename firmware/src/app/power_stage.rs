@@ -9,6 +9,7 @@ mod app {
     use firmware::settings::{self, BoardKind};
     use firmware::store::Keep;
     use firmware::ticker::Ticker;
+    use firmware::upkeep::{PERIODS, Upkeep};
     use firmware::{Commands, Link, Measurements, Moves, Records};
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
@@ -18,9 +19,6 @@ mod app {
     /// Bytes from the host that the desk has not read yet.
     type Bytes = Queue<u8, BYTES>;
     const BYTES: usize = 512;
-
-    /// PWM periods from one slow task to the next: 20 ms. Without current ticks there is none.
-    const SLOW: u32 = 480;
 
     #[shared]
     struct Shared {}
@@ -32,6 +30,7 @@ mod app {
         current: CurrentTick<'static>,
         slow_in: u32,
         housekeeper: Housekeeper,
+        upkeep: Upkeep<'static>,
         serial_in: SerialIn,
         received: Producer<'static, u8, BYTES>,
         bytes: Consumer<'static, u8, BYTES>,
@@ -109,8 +108,9 @@ mod app {
                 rest,
                 stage,
                 current,
-                slow_in: SLOW,
+                slow_in: PERIODS,
                 housekeeper,
+                upkeep: Upkeep::new(link),
                 serial_in,
                 received,
                 bytes,
@@ -142,7 +142,7 @@ mod app {
             rtic::pend(Interrupt::EXTI0);
         }
         if *cx.local.slow_in <= 1 {
-            *cx.local.slow_in = SLOW;
+            *cx.local.slow_in = PERIODS;
             rtic::pend(Interrupt::EXTI1);
         } else {
             *cx.local.slow_in -= 1;
@@ -162,9 +162,9 @@ mod app {
     }
 
     /// What a power stage needs now and then. Above the desk, which may wait for a slow line.
-    #[task(binds = EXTI1, priority = 2, local = [housekeeper])]
+    #[task(binds = EXTI1, priority = 2, local = [housekeeper, upkeep])]
     fn slow(cx: slow::Context) {
-        cx.local.housekeeper.feed_watchdog();
+        cx.local.upkeep.run(cx.local.housekeeper);
     }
 
     /// Answers the host, sends what the tick has told.

@@ -115,14 +115,28 @@ pub fn run(args: &Args) -> Result<()> {
     say_line!("started by   {}", words::reset(status.reset));
     match last_fault {
         None => say_line!("last fault   none since the start"),
-        Some(it) => say_line!(
-            "last fault   tick {}: {}; count {}, moved {}, torque {} Nm",
-            it.tick,
-            words::fault(it.fault),
-            it.count,
-            it.moved,
-            short(it.torque_nm)
-        ),
+        Some(it) => {
+            say_line!(
+                "last fault   tick {}: {}; count {}, moved {}, torque {} Nm",
+                it.tick,
+                words::fault(it.fault),
+                it.count,
+                it.moved,
+                short(it.torque_nm)
+            );
+            // What a board does not measure is 0.
+            if it.bus_v != 0.0 {
+                say_line!(
+                    "             B {} A, C {} A, bus {} V, {} °C, gate driver {:#06x} {:#06x}",
+                    short(it.current_b_a),
+                    short(it.current_c_a),
+                    short(it.bus_v),
+                    short(it.temperature_c),
+                    it.gate_driver[0],
+                    it.gate_driver[1]
+                );
+            }
+        }
     }
     say_line!("tick         {}", status.tick);
     say_line!(
