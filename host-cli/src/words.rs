@@ -163,9 +163,7 @@ pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> S
              encoder counts from wherever it stands then; `knob calibrate` finds it"
                 .into()
         }
-        Refusal::NoMotor => {
-            "the motor is not known yet; `knob calibrate` first, or `knob set` its values".into()
-        }
+        Refusal::NoMotor => "the motor is not known yet; `knob calibrate` first".into(),
         Refusal::MotorValue {
             name,
             given,
