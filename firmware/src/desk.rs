@@ -47,6 +47,8 @@ struct Pending {
     settings: Settings,
     /// They are kept then, too.
     save: bool,
+    /// They tell the encoder's zero.
+    zero: bool,
 }
 
 /// Which request began the last push.
@@ -75,6 +77,8 @@ pub struct Desk<'a, K> {
     kept: Option<Settings>,
     store: K,
     subscription: Subscription,
+    /// The encoder's zero was told since the start.
+    zero_known: bool,
     pending: Option<Pending>,
     /// The request to leave a fault that waits for the gate driver's restart.
     clearing: Option<u16>,
@@ -112,6 +116,7 @@ impl<'a, K: Keep> Desk<'a, K> {
             kept: (start.stored == Stored::Last).then_some(start.settings),
             store,
             subscription: Subscription::default(),
+            zero_known: false,
             pending: None,
             clearing: None,
             pushed: None,
@@ -226,6 +231,7 @@ impl<'a, K: Keep> Desk<'a, K> {
             Message::Refused(Refusal::State(self.state_of(status.state)))
         } else {
             self.settings = pending.settings;
+            self.zero_known |= pending.zero;
             if let Some(push) = began {
                 self.pushed = Some(Pushed {
                     tick: Some(self.link.taken_at.load(Relaxed)),
@@ -268,6 +274,7 @@ impl<'a, K: Keep> Desk<'a, K> {
                 Err(refusal) => Message::Refused(refusal),
             },
             Request::Arm if self.without_motor() => Message::Refused(Refusal::NoMotor),
+            Request::Arm if self.without_zero() => Message::Refused(Refusal::NoZero),
             Request::Arm => {
                 return self.command(sequence, Command::Arm, self.settings, false, write);
             }
@@ -324,12 +331,17 @@ impl<'a, K: Keep> Desk<'a, K> {
             Request::Motor => Message::Motor(self.settings.motor),
             Request::SetMotor(changes) => match self.settle_motor(changes) {
                 Ok((command, settings)) => {
-                    return self.command(sequence, command, settings, false, write);
+                    self.command(sequence, command, settings, false, write);
+                    if let Some(pending) = &mut self.pending {
+                        pending.zero = changes.zero_turns.is_some();
+                    }
+                    return;
                 }
                 Err(refusal) => Message::Refused(refusal),
             },
             Request::LastFault => Message::Snapshot(self.link.snapshot()),
             Request::Push(_) if self.without_motor() => Message::Refused(Refusal::NoMotor),
+            Request::Push(_) if self.without_zero() => Message::Refused(Refusal::NoZero),
             Request::Push(push) => match (self.pushed, self.push(push)) {
                 // Its answer was lost.
                 (
@@ -418,6 +430,14 @@ impl<'a, K: Keep> Desk<'a, K> {
             && self.settings.motor.drive == Drive::None
     }
 
+    /// The motor's torque depends on the encoder's zero, which nobody has told since the start: an encoder without an index
+    /// counts from wherever it stands then.
+    fn without_zero(&self) -> bool {
+        matches!(self.identity.kind, BoardKind::Stage(_))
+            && matches!(self.settings.motor.drive, Drive::Current | Drive::Voltage)
+            && !self.zero_known
+    }
+
     /// What brings the defaults back.
     fn defaults(&self) -> Result<Command, Refusal> {
         if self.stored == Stored::NoStorage {
@@ -484,6 +504,7 @@ impl<'a, K: Keep> Desk<'a, K> {
                 taken,
                 settings,
                 save,
+                zero: false,
             });
         } else {
             // One command at a time is under way, so there is room; if not, nothing was done.

@@ -164,6 +164,11 @@ pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> S
             format!("this board ({board}) keeps no settings; set them anew after each start")
         }
         Refusal::NoPowerStage => format!("this board ({board}) drives no motor itself"),
+        Refusal::NoZero => {
+            "where the encoder's zero is, is not known since the device started, as an \
+             encoder counts from wherever it stands then; `knob calibrate` finds it"
+                .into()
+        }
         Refusal::NoMotor => {
             "the motor is not known yet; `knob calibrate` first, or `knob set` its values".into()
         }

@@ -438,6 +438,8 @@ pub enum Refusal {
     Push,
     /// An excitation is out of range, or not a number.
     Excitation,
+    /// Where the encoder's zero is, is not known since the start: calibrate, or set `zero_turns`.
+    NoZero,
 }
 
 /// One tick, as subscribed; what was not asked for is None.

@@ -15,7 +15,7 @@ use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use protocol::{
     Changes, Drive, Fields, Interval, Law, Message, Motor, MotorChanges, MotorName, Name,
-    Parameters, Refusal, Request, Subscription,
+    Parameters, Push, Refusal, Request, Subscription,
 };
 
 const PWM_S: f64 = ODRIVE_V3_24V.pwm_period_s;
@@ -521,6 +521,39 @@ fn without_a_motor_nothing_is_armed_and_a_motor_is_taken_only_while_disarmed() {
     };
     bench.must(Request::SetMotor(none));
     assert_eq!(refusal(&mut bench, Request::Arm), Refusal::NoMotor);
+}
+
+/// After a start the counter counts from wherever the knob stands: a zero that was kept would turn the torque's angle.
+#[test]
+fn three_phases_are_armed_and_pushed_only_once_the_zero_was_told() {
+    let push = Request::Push(Push {
+        from_nm: 0.0,
+        to_nm: 0.0,
+        rise_ticks: 0,
+        most_ticks: 1,
+        way_counts: 1,
+        speed_counts: 1,
+        rest_ticks: 1,
+        coast_ticks: 1,
+        guard_counts: 1,
+    });
+    for drive in DRIVES {
+        let motor = example_motor(drive);
+        let mut bench = NativeBench::new(&knob(&motor, 8192, STUCK, AT_REST));
+        bench.must(Request::SetMotor(MotorChanges {
+            zero_turns: None,
+            ..all_of(&motor)
+        }));
+        if drive != Drive::Brushed {
+            assert_eq!(refusal(&mut bench, Request::Arm), Refusal::NoZero);
+            assert_eq!(refusal(&mut bench, push), Refusal::NoZero);
+            bench.must(Request::SetMotor(MotorChanges {
+                zero_turns: Some(motor.zero_turns),
+                ..MotorChanges::default()
+            }));
+        }
+        bench.must(Request::Arm);
+    }
 }
 
 #[test]
