@@ -411,6 +411,35 @@ fn each_fault_ends_a_calibration_in_time_and_stays() {
     }
 }
 
+#[test]
+fn each_fault_ends_a_push_in_time_and_stays() {
+    let table = table();
+    for injection in INJECTIONS {
+        let row = &table[injection.name];
+        for drive in injection.drives {
+            for seed in 0..4 {
+                let what = format!("{} {drive:?} {seed}", injection.name);
+                let mut rig = Rig::pushing(*drive, seed);
+                let moment = rig.random.between(1.0, 2_000.0) as u32;
+                rig.run(moment);
+                assert_eq!(rig.state(), State::Pushing, "{what}");
+                (injection.inject)(&mut rig);
+                let most = periods(&row.off_within, rig.every);
+                let took = rig.run_until_off(most + 10);
+                assert!(took <= most, "{what}: {took} periods, the page says {most}");
+                rig.run(2 * rig.every + 3_000);
+                let State::Fault(fault) = rig.state() else {
+                    panic!("{what}: {:?}", rig.state());
+                };
+                assert!((injection.fault)(fault), "{what}: {fault:?}");
+                let snapshot = rig.snapshot().expect("a snapshot");
+                check_snapshot(&rig, &snapshot, &what);
+                assert_eq!(rig.on_since_off, 0, "{what}: the bridge was on again");
+            }
+        }
+    }
+}
+
 /// What ends an excitation without a fault: by the page's name.
 struct Limit {
     name: &'static str,
@@ -638,14 +667,22 @@ fn arming_is_refused_where_something_is_wrong_already() {
         rig.run(1_500);
         rig.bus_v = Some(5.0);
         rig.run(30);
-        let refused = rig.ask(Request::Arm);
-        assert!(
-            matches!(
-                refused,
-                Told::Refused(Refusal::State(State::Fault(Fault::UnderVoltage { .. })))
-            ),
-            "{refused:?}"
-        );
+        for request in [Request::Arm, Request::Push(rig.push())] {
+            let refused = rig.ask(request);
+            assert!(
+                matches!(
+                    refused,
+                    Told::Refused(Refusal::State(State::Fault(Fault::UnderVoltage { .. })))
+                ),
+                "{refused:?}"
+            );
+            rig.bus_v = None;
+            rig.run(1);
+            assert!(rig.ask(Request::Clear) == Told::Done);
+            rig.bus_v = Some(5.0);
+            rig.run(30);
+        }
+        assert!(matches!(rig.ask(Request::Arm), Told::Refused(_)));
         assert!(matches!(rig.ask(Request::Clear), Told::Refused(_)));
         rig.bus_v = None;
         rig.run(1);

@@ -22,7 +22,8 @@ use plant_sim::motor::Motor as Extras;
 use plant_sim::powered::{EncoderSetup, Powered, Setup};
 use protocol::{
     Changes, Drive, Event, Excitation, ExcitationEnd, Fields, Frames, Interval, Law, Message,
-    Motor, MotorChanges, Refusal, Request, ResetReason, Snapshot, State, Status, Subscription,
+    Motor, MotorChanges, Push, Refusal, Request, ResetReason, Snapshot, State, Status,
+    Subscription,
 };
 
 /// Random numbers.
@@ -446,6 +447,32 @@ impl Rig {
             current_max_a: 2.0 * motor.current_max_a + 2.0,
             way_max: 1_000_000,
         }
+    }
+
+    /// A push of nearly a second below what friction holds.
+    pub fn push(&self) -> Push {
+        let ticks = (0.9 * 24e3 / f64::from(self.every)) as u32;
+        Push {
+            from_nm: 0.0,
+            to_nm: 5e-4,
+            rise_ticks: 10,
+            most_ticks: ticks,
+            way_counts: 1_000_000,
+            speed_counts: 1_000_000,
+            rest_ticks: 10,
+            coast_ticks: 100,
+            guard_counts: 1_000_000,
+        }
+    }
+
+    /// One that is being pushed.
+    pub fn pushing(drive: Drive, seed: u64) -> Self {
+        let mut rig = Self::new(drive, seed, Knob::Free);
+        let answer = rig.ask(Request::Push(rig.push()));
+        assert!(answer == Told::Done, "{answer:?}");
+        rig.run(100);
+        assert!(rig.on_since_off >= 100);
+        rig
     }
 
     /// One that is being measured, at full voltage.
