@@ -267,7 +267,7 @@ fn ended(device: &mut Device, heard: Recorded, end: PushEnd, period_s: f64) -> R
                 Fault::Guard => {
                     "; something else moved it, or --angle-max is too small for how it coasts"
                 }
-                Fault::EncoderJump { .. } => "; is counts_per_rev right?",
+                Fault::EncoderJump { .. } | Fault::OverSpeed { .. } => "; is counts_per_rev right?",
                 _ => "",
             };
             bail!(
