@@ -239,6 +239,10 @@ impl Power {
     /// A count more or less in the window W is a step of the back-EMF, k_e·Δ/W. A loop with the gain K_p ≥ ω_c·L takes it
     /// back, but begins with k/K_p of it: torque that is not as commanded, which goes to the step.
     ///
+    /// Duties are whole steps, so the voltage is wrong by up to D = V/N between B and C, by 2/3 of that as a vector. From one
+    /// period to the next it changes by 2·D at most, to which the loop lets the current rise by
+    /// 2·D/(ω_c·L)·r^(r/(1 − r)) ≤ 2·D/(ω_c·L + R), r = R/(ω_c·L): torque either way, so twice that goes to the step.
+    ///
     /// What of the back-EMF is made up for comes D = W/2 + 1½ periods late. The windings of a voltage drive make a drag of
     /// what is not. A loop answers with s/((L s + R)(s + ω_c)) of it, and the torque along the speed is
     /// −k·k_e·D/(R·ω_c)·ω² at a frequency ω. A spring m·ω² with a lag τ has −m·ω²·τ: it is as much as a lag of
@@ -258,7 +262,14 @@ impl Power {
             return Some(delivery);
         }
         let count_v = back_emf_v_s(motor) * f64::from(self.count_speed_rad_s);
-        delivery.torque_step_nm += constant * count_v / least_gain_v_a(motor, stage);
+        let gain_v_a = least_gain_v_a(motor, stage);
+        let rounding_v = match drive {
+            MotorDrive::Brushed(_) => 1.0,
+            MotorDrive::Current(_) | MotorDrive::Voltage(_) => 2.0 / 3.0,
+        } * stage.bus_most_v
+            / f64::from(stage.pwm_steps);
+        delivery.torque_step_nm +=
+            constant * (count_v / gain_v_a + 4.0 * rounding_v / (gain_v_a + resistance_ohm));
         let late_s = (0.5 * f64::from(self.window) + 1.5) * stage.pwm_period_s;
         let bandwidth_rad_s = BANDWIDTH / stage.pwm_period_s;
         delivery.tau_s += constant * back_emf_v_s(motor) * late_s
