@@ -295,7 +295,7 @@ fn calibrating() -> [u64; 2] {
         quarter: 2,
         rise: 240,
         // So that windows end where haptic ticks are.
-        settle: 239,
+        settle: 241,
         window: 48,
         windows: 80,
         zero_codes: [motor.offset_b_codes, motor.offset_c_codes],
