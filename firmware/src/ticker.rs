@@ -273,7 +273,8 @@ impl<'a> Ticker<'a> {
         let mut tick = self.controller.tick(count.cast_unsigned(), elapsed_s);
         let mut torque_nm = 0.0;
         let mut fault = watch.found.or(self.barred.take());
-        if fault.is_none() && self.status.state == StateCode::Armed {
+        let gives = matches!(self.status.state, StateCode::Armed | StateCode::Pushing);
+        if fault.is_none() && gives {
             fault = fault_in(&tick, self.furthest_counts, false)
                 .map(|fault| self.of_many_periods(fault));
         }

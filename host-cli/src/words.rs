@@ -128,13 +128,7 @@ pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> S
             given,
             lowest,
             highest,
-        } => format!(
-            "{}: {} is out of range; accepted: {} to {}",
-            name.as_str(),
-            short(given),
-            short(lowest),
-            short(highest)
-        ),
+        } => out_of_range(name.as_str(), given, lowest, highest),
         Refusal::Reversed { name, low, high } => format!(
             "{}: {}..{} has its lower end above its upper end; accepted: LOW..HIGH with LOW ≤ HIGH",
             name.as_str(),
@@ -177,13 +171,7 @@ pub fn refusal(refusal: &Refusal, board: &str, wanted: Option<&Parameters>) -> S
             given,
             lowest,
             highest,
-        } => format!(
-            "{}: {} is out of range; accepted: {} to {}",
-            name.as_str(),
-            short(given),
-            short(lowest),
-            short(highest)
-        ),
+        } => out_of_range(name.as_str(), given, lowest, highest),
         Refusal::Push => "this push is out of range, or this device cannot push".into(),
         Refusal::Excitation => {
             "this excitation is out of range, or this device cannot measure".into()
@@ -226,6 +214,15 @@ pub fn stored(stored: Stored) -> String {
         Stored::Refused { name } => not_accepted(name.as_str()),
         Stored::RefusedMotor { name } => not_accepted(name.as_str()),
     }
+}
+
+fn out_of_range(name: &str, given: f32, lowest: f32, highest: f32) -> String {
+    format!(
+        "{name}: {} is out of range; accepted: {} to {}",
+        short(given),
+        short(lowest),
+        short(highest)
+    )
 }
 
 fn not_accepted(name: &str) -> String {

@@ -8,7 +8,10 @@ use std::path::Path;
 
 use plant_sim::powered::EncoderFault;
 use powered_rig::{Knob, Rig, Told};
-use protocol::{Changes, Drive, Fault, Refusal, Request, ResetReason, Snapshot, State};
+use protocol::{
+    Changes, Drive, Excitation, ExcitationEnd, Fault, Refusal, Request, ResetReason, Snapshot,
+    State,
+};
 
 /// PWM periods of the page's `n`: those of a haptic tick.
 fn periods(expression: &str, n: u32) -> u32 {
@@ -343,6 +346,254 @@ fn check_snapshot(rig: &Rig, snapshot: &Snapshot, what: &str) {
     assert!(late <= 1, "{what}: told {late} ticks later");
 }
 
+/// What a fault leads to while a motor is being measured, beside those of the bus, current and count, which end the
+/// measurement and are no fault.
+const WHILE_CALIBRATING: &[&str] = &[
+    "current-tick-late",
+    "gate-driver-line",
+    "gate-driver-lost",
+    "too-hot",
+    "temperature-unknown",
+    "slow-task-dead",
+];
+
+#[test]
+fn each_fault_ends_a_calibration_in_time_and_stays() {
+    let table = table();
+    for injection in INJECTIONS {
+        if !WHILE_CALIBRATING.contains(&injection.name) {
+            continue;
+        }
+        let row = &table[injection.name];
+        for drive in ALL {
+            for seed in 0..6 {
+                let what = format!("{} {drive:?} {seed}", injection.name);
+                let mut rig = Rig::calibrating(*drive, seed);
+                let moment = rig.random.between(1.0, 2_000.0) as u32;
+                rig.run(moment);
+                assert_eq!(rig.state(), State::Calibrating, "{what}");
+                (injection.inject)(&mut rig);
+                let most = periods(&row.off_within, rig.every);
+                let took = rig.run_until_off(most + 10);
+                assert!(took <= most, "{what}: {took} periods, the page says {most}");
+                rig.run(2 * rig.every + 1_500);
+                let State::Fault(fault) = rig.state() else {
+                    panic!("{what}: {:?}", rig.state());
+                };
+                assert!((injection.fault)(fault), "{what}: {fault:?}");
+                assert_eq!(rig.excitation_end(), Some(ExcitationEnd::Fault), "{what}");
+                let snapshot = rig.snapshot().expect("a snapshot");
+                check_snapshot(&rig, &snapshot, &what);
+                for request in [
+                    Request::Arm,
+                    Request::Disarm,
+                    Request::Calibrate(rig.excitation()),
+                ] {
+                    let refused = rig.ask(request);
+                    assert!(
+                        matches!(refused, Told::Refused(Refusal::State(State::Fault(_)))),
+                        "{what}: {refused:?}"
+                    );
+                }
+                rig.run(3_000);
+                assert_eq!(rig.on_since_off, 0, "{what}: the bridge was on again");
+                (injection.mend)(&mut rig);
+                rig.run(1_500);
+                // The first asks the gate driver to start anew.
+                rig.ask(Request::Clear);
+                rig.run(1_500);
+                rig.ask(Request::Clear);
+                assert_eq!(rig.state(), State::Disarmed, "{what}");
+                let again = rig.ask(Request::Calibrate(rig.excitation()));
+                assert!(again == Told::Done, "{what}: {again:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn each_fault_ends_a_push_in_time_and_stays() {
+    let table = table();
+    for injection in INJECTIONS {
+        let row = &table[injection.name];
+        for drive in injection.drives {
+            for seed in 0..4 {
+                let what = format!("{} {drive:?} {seed}", injection.name);
+                let mut rig = Rig::pushing(*drive, seed);
+                let moment = rig.random.between(1.0, 2_000.0) as u32;
+                rig.run(moment);
+                assert_eq!(rig.state(), State::Pushing, "{what}");
+                (injection.inject)(&mut rig);
+                let most = periods(&row.off_within, rig.every);
+                let took = rig.run_until_off(most + 10);
+                assert!(took <= most, "{what}: {took} periods, the page says {most}");
+                rig.run(2 * rig.every + 3_000);
+                let State::Fault(fault) = rig.state() else {
+                    panic!("{what}: {:?}", rig.state());
+                };
+                assert!((injection.fault)(fault), "{what}: {fault:?}");
+                let snapshot = rig.snapshot().expect("a snapshot");
+                check_snapshot(&rig, &snapshot, &what);
+                assert_eq!(rig.on_since_off, 0, "{what}: the bridge was on again");
+            }
+        }
+    }
+}
+
+/// What ends an excitation without a fault: by the page's name.
+struct Limit {
+    name: &'static str,
+    end: ExcitationEnd,
+    inject: fn(&mut Rig),
+    /// It bars any further one for as long as it stands.
+    bars: Option<fn(Fault) -> bool>,
+}
+
+const LIMITS: &[Limit] = &[
+    Limit {
+        name: "calibration-current",
+        end: ExcitationEnd::Current,
+        inject: |rig| rig.add_codes = [1500, 0],
+        bars: None,
+    },
+    Limit {
+        name: "calibration-current",
+        end: ExcitationEnd::Current,
+        inject: |rig| rig.add_codes = [-700, -700],
+        bars: None,
+    },
+    Limit {
+        name: "calibration-bus",
+        end: ExcitationEnd::Bus,
+        inject: |rig| rig.bus_v = Some(26.0),
+        bars: Some(|fault| matches!(fault, Fault::OverVoltage { .. })),
+    },
+    Limit {
+        name: "calibration-bus",
+        end: ExcitationEnd::Bus,
+        inject: |rig| rig.bus_v = Some(f32::NAN),
+        bars: Some(|fault| matches!(fault, Fault::OverVoltage { .. })),
+    },
+    Limit {
+        name: "calibration-bus",
+        end: ExcitationEnd::Bus,
+        inject: |rig| rig.bus_v = Some(7.5),
+        bars: Some(|fault| matches!(fault, Fault::UnderVoltage { .. })),
+    },
+];
+
+#[test]
+fn a_limit_ends_a_calibration_in_its_period() {
+    let table = table();
+    for limit in LIMITS {
+        let row = &table[limit.name];
+        for drive in ALL {
+            for seed in 0..6 {
+                let what = format!("{:?} {drive:?} {seed}", limit.end);
+                let mut rig = Rig::calibrating(*drive, seed);
+                let moment = rig.random.between(1.0, 2_000.0) as u32;
+                rig.run(moment);
+                (limit.inject)(&mut rig);
+                let most = periods(&row.off_within, rig.every);
+                let took = rig.run_until_off(most + 10);
+                assert!(took <= most, "{what}: {took} periods, the page says {most}");
+                rig.run(2_000);
+                assert_eq!(rig.state(), State::Disarmed, "{what}");
+                assert_eq!(rig.excitation_end(), Some(limit.end), "{what}");
+                assert_eq!(rig.on_since_off, 0, "{what}: the bridge was on again");
+                let Some(bars) = limit.bars else {
+                    continue;
+                };
+                for request in [Request::Calibrate(rig.excitation()), Request::Arm] {
+                    let refused = rig.ask(request);
+                    let Told::Refused(Refusal::State(State::Fault(fault))) = refused else {
+                        panic!("{what}: {refused:?}");
+                    };
+                    assert!(bars(fault), "{what}: {fault:?}");
+                    assert!(
+                        matches!(rig.ask(Request::Clear), Told::Refused(_)),
+                        "{what}"
+                    );
+                    rig.bus_v = None;
+                    rig.run(1);
+                    assert!(rig.ask(Request::Clear) == Told::Done, "{what}");
+                    (limit.inject)(&mut rig);
+                    rig.run(30);
+                }
+                assert_eq!(rig.on_since_off, 0, "{what}: the bridge was on again");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_calibration_that_turns_too_far_in_a_windows_time_ends() {
+    assert_eq!(table()["calibration-speed"].off_within, "2 windows");
+    for drive in ALL {
+        for seed in 0..6 {
+            let mut rig = Rig::new(*drive, seed, Knob::Free);
+            let excitation = Excitation {
+                way_max: 4_000,
+                window: 500,
+                windows: 60,
+                ..rig.excitation()
+            };
+            assert!(rig.ask(Request::Calibrate(excitation)) == Told::Done);
+            let moment = rig.random.between(3_000.0, 9_000.0) as u32;
+            rig.run(moment);
+            assert_eq!(rig.state(), State::Calibrating, "{drive:?} {seed}");
+            // Its own way was below 8 in a period, or it would have ended: 12 are left at least.
+            rig.add_counts_a_period = 20;
+            let took = rig.run_until_off(1_100);
+            assert!(took <= 1_000, "{drive:?} {seed}: {took}");
+            rig.run(1_500);
+            assert_eq!(rig.excitation_end(), Some(ExcitationEnd::Speed));
+            assert_eq!(rig.state(), State::Disarmed);
+        }
+    }
+}
+
+#[test]
+fn a_calibration_ends_by_itself_and_may_not_last() {
+    let mut rig = Rig::new(Drive::Current, 1, Knob::Free);
+    let excitation = rig.excitation();
+    // 720,000 periods are 30 s.
+    let long = Excitation {
+        windows: 552,
+        ..excitation
+    };
+    let refused = rig.ask(Request::Calibrate(long));
+    assert!(refused == Told::Refused(Refusal::Excitation), "{refused:?}");
+    let longest = Excitation {
+        windows: 550,
+        ..excitation
+    };
+    for (excitation, most) in [(excitation, 30_000), (longest, 719_000)] {
+        assert!(rig.ask(Request::Calibrate(excitation)) == Told::Done);
+        let took = rig.run_until_off(most + 10);
+        assert!(took <= most, "{took}");
+        assert!(took > most / 10 * 9, "{took}");
+        rig.run(1_500);
+        assert_eq!(rig.excitation_end(), Some(ExcitationEnd::Done));
+        assert_eq!(rig.state(), State::Disarmed);
+        assert_eq!(rig.on_since_off, 0);
+    }
+}
+
+/// What flowed while a motor was measured is not taken for an offset.
+#[test]
+fn a_calibration_that_was_broken_off_leaves_the_way_to_arming_free() {
+    for drive in ALL {
+        for seed in 0..6 {
+            let mut rig = Rig::calibrating(*drive, seed);
+            rig.run(4_000);
+            assert!(rig.ask(Request::Disarm) == Told::Done);
+            let armed = rig.ask(Request::Arm);
+            assert!(armed == Told::Done, "{drive:?} {seed}: {armed:?}");
+        }
+    }
+}
+
 #[test]
 fn a_count_that_does_not_follow_the_motor_is_found_by_its_back_emf() {
     let row = &table()["count-stands"];
@@ -416,14 +667,22 @@ fn arming_is_refused_where_something_is_wrong_already() {
         rig.run(1_500);
         rig.bus_v = Some(5.0);
         rig.run(30);
-        let refused = rig.ask(Request::Arm);
-        assert!(
-            matches!(
-                refused,
-                Told::Refused(Refusal::State(State::Fault(Fault::UnderVoltage { .. })))
-            ),
-            "{refused:?}"
-        );
+        for request in [Request::Arm, Request::Push(rig.push())] {
+            let refused = rig.ask(request);
+            assert!(
+                matches!(
+                    refused,
+                    Told::Refused(Refusal::State(State::Fault(Fault::UnderVoltage { .. })))
+                ),
+                "{refused:?}"
+            );
+            rig.bus_v = None;
+            rig.run(1);
+            assert!(rig.ask(Request::Clear) == Told::Done);
+            rig.bus_v = Some(5.0);
+            rig.run(30);
+        }
+        assert!(matches!(rig.ask(Request::Arm), Told::Refused(_)));
         assert!(matches!(rig.ask(Request::Clear), Told::Refused(_)));
         rig.bus_v = None;
         rig.run(1);
@@ -558,6 +817,9 @@ fn the_page_has_every_fault_and_names_tests_that_exist() {
     for injection in INJECTIONS {
         assert!(table.contains_key(injection.name), "{}", injection.name);
     }
+    for limit in LIMITS {
+        assert!(table.contains_key(limit.name), "{}", limit.name);
+    }
     for (what, row) in &table {
         assert!(!row.tests.is_empty(), "{what} names no test");
         for test in &row.tests {
@@ -580,6 +842,7 @@ fn sources(root: &Path) -> Vec<String> {
     for folder in [
         "tests/tests",
         "firmware/src",
+        "firmware/tests",
         "control/src",
         "host-cli/src",
         "host-cli/tests",

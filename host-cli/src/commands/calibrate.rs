@@ -9,6 +9,7 @@ use plant_sim::identify::Estimate;
 use protocol::{Drive, Event, Excitation, MotorChanges, PowerStage, Request};
 use serde::Serialize;
 
+use super::identify::EstimateJson;
 use crate::calibrate::{self, Bench, Found, Recorded, Step, Told, Winding};
 use crate::device::{Device, Identity, Outcome, Unasked};
 use crate::number::{self, digits};
@@ -65,19 +66,6 @@ impl DriveArg {
             Self::Voltage => Drive::Voltage,
             Self::Brushed => Drive::Brushed,
         }
-    }
-}
-
-#[derive(Serialize)]
-struct EstimateJson {
-    value: f64,
-    low: f64,
-    high: f64,
-}
-
-impl From<Estimate> for EstimateJson {
-    fn from(Estimate { value, low, high }: Estimate) -> Self {
-        Self { value, low, high }
     }
 }
 

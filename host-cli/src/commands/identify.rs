@@ -79,8 +79,9 @@ pub struct Args {
     connection: Connection,
 }
 
+/// An estimate, for scripts.
 #[derive(Serialize)]
-struct EstimateJson {
+pub struct EstimateJson {
     value: f64,
     low: f64,
     high: f64,

@@ -14,15 +14,16 @@ use firmware::settings::{self, BoardKind};
 use firmware::store::{Keep, NoStore};
 use firmware::ticker::Ticker;
 use firmware::upkeep::{PERIODS, Upkeep};
-use firmware::{Commands, Link, Moves, Records};
+use firmware::{Commands, Link, Measurements, Moves, Records};
 use plant_sim::electrical::{CurrentSensing, Inverter, Supply, Winding};
 use plant_sim::hand::Hand;
 use plant_sim::hold::State as Motion;
 use plant_sim::motor::Motor as Extras;
 use plant_sim::powered::{EncoderSetup, Powered, Setup};
 use protocol::{
-    Changes, Drive, Fields, Frames, Interval, Law, Message, Motor, MotorChanges, Refusal, Request,
-    ResetReason, Snapshot, State, Status, Subscription,
+    Changes, Drive, Event, Excitation, ExcitationEnd, Fields, Frames, Interval, Law, Message,
+    Motor, MotorChanges, Push, Refusal, Request, ResetReason, Snapshot, State, Status,
+    Subscription,
 };
 
 /// Random numbers.
@@ -66,6 +67,8 @@ pub enum Knob {
     Pushed,
     /// It turns the knob against all the torque there is.
     Turned,
+    /// There is none.
+    Free,
 }
 
 /// An answer.
@@ -150,6 +153,7 @@ pub struct Rig {
     /// What was asked, and the answer to it.
     asked: u16,
     answered: Option<Told>,
+    ended: Option<ExcitationEnd>,
     ticks: u32,
     slow_in: u32,
     commanded_nm: f64,
@@ -219,6 +223,7 @@ impl Rig {
                 shake_hz: random.log(0.5, 8.0),
                 ..Hand::default()
             },
+            Knob::Free => Hand::default(),
             Knob::Turned => {
                 let push_nm = 2.0 * torque_max + 3.0 * device.coulomb_nm;
                 Hand {
@@ -318,6 +323,7 @@ impl Rig {
         let (command_sender, command_receiver) = Box::leak(Box::new(Commands::new())).split();
         let (record_sender, record_receiver) = Box::leak(Box::new(Records::new())).split();
         let (move_sender, move_receiver) = Box::leak(Box::new(Moves::new())).split();
+        let (told_sender, told_receiver) = Box::leak(Box::new(Measurements::new())).split();
         let board = FakeBoard {
             temperature_c: 40.0,
             gate_driver: Ok(()),
@@ -345,7 +351,7 @@ impl Rig {
         };
         let told = start.settings.motor.with(&motor);
         let mut rig = Self {
-            current: CurrentTick::new(ticker, power, 32, counter),
+            current: CurrentTick::new(ticker, power, 32, counter).telling(told_sender),
             desk: Desk::new(
                 identity,
                 &start,
@@ -354,7 +360,8 @@ impl Rig {
                 command_sender,
                 record_receiver,
                 move_receiver,
-            ),
+            )
+            .told(told_receiver),
             upkeep: Upkeep::new(link),
             plant,
             board,
@@ -374,6 +381,7 @@ impl Rig {
             frames: Frames::new(),
             asked: 0,
             answered: None,
+            ended: None,
             ticks: 0,
             slow_in: PERIODS,
             commanded_nm: 0.0,
@@ -417,6 +425,69 @@ impl Rig {
     pub fn arm(&mut self) {
         let answer = self.ask(Request::Arm);
         assert!(answer == Told::Done, "{answer:?}");
+    }
+
+    /// An excitation of 1.25 s along B to C, of a current below half of the largest.
+    pub fn excitation(&self) -> Excitation {
+        let motor = &self.motor;
+        Excitation {
+            angle: 1 << 30,
+            turn: 0,
+            back: false,
+            steady_v: (0.4 * motor.current_max_a * motor.resistance_ohm).min(6.0),
+            steady_a: [0.0; 2],
+            along_v: 0.0,
+            across_v: 0.0,
+            quarter: 0,
+            rise: 1_500,
+            settle: 1_000,
+            window: 1_300,
+            windows: 20,
+            zero_codes: [motor.offset_b_codes, motor.offset_c_codes],
+            current_max_a: 2.0 * motor.current_max_a + 2.0,
+            way_max: 1_000_000,
+        }
+    }
+
+    /// A push of nearly a second below what friction holds.
+    pub fn push(&self) -> Push {
+        let ticks = (0.9 * 24e3 / f64::from(self.every)) as u32;
+        Push {
+            from_nm: 0.0,
+            to_nm: 5e-4,
+            rise_ticks: 10,
+            most_ticks: ticks,
+            way_counts: 1_000_000,
+            speed_counts: 1_000_000,
+            rest_ticks: 10,
+            coast_ticks: 100,
+            guard_counts: 1_000_000,
+        }
+    }
+
+    /// One that is being pushed.
+    pub fn pushing(drive: Drive, seed: u64) -> Self {
+        let mut rig = Self::new(drive, seed, Knob::Free);
+        let answer = rig.ask(Request::Push(rig.push()));
+        assert!(answer == Told::Done, "{answer:?}");
+        rig.run(100);
+        assert!(rig.on_since_off >= 100);
+        rig
+    }
+
+    /// One that is being measured, at full voltage.
+    pub fn calibrating(drive: Drive, seed: u64) -> Self {
+        let mut rig = Self::new(drive, seed, Knob::Free);
+        let answer = rig.ask(Request::Calibrate(rig.excitation()));
+        assert!(answer == Told::Done, "{answer:?}");
+        rig.run(1_800);
+        assert!(rig.on_since_off > 1_700);
+        rig
+    }
+
+    /// How the excitation ended, once that is told.
+    pub fn excitation_end(&mut self) -> Option<ExcitationEnd> {
+        self.ended.take()
     }
 
     /// One PWM period.
@@ -506,6 +577,7 @@ impl Rig {
         for answer in answers(&mut self.frames, &bytes) {
             answer.read(|sequence, message| match message {
                 Message::Telemetry(it) => self.commanded_nm = it.torque_nm.map_or(0.0, f64::from),
+                Message::Event(Event::Calibrated { end }) => self.ended = Some(*end),
                 Message::Event(_) => {}
                 message if sequence == self.asked => self.answered = Told::of(message),
                 _ => {}
