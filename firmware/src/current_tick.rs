@@ -198,19 +198,22 @@ impl CurrentTick<'_> {
             return Bridge::Off;
         }
         let step = run.tick(sensed, count);
+        if step.window_over
+            && let Some(measurements) = &mut self.measurements
+        {
+            // Where there is no room the host finds a window missing.
+            let _ = measurements.enqueue(Told::Sums(*run.sums()));
+        }
         if step.end.is_some() {
             self.run = None;
             self.ended = step.end;
             self.ticker.excited();
         }
-        if let Some(sums) = step.sums {
-            // Where there is no room the host finds a window missing.
-            self.told(Told::Sums(sums));
-        }
         step.bridge
     }
 
     /// Whether there was room to tell it, or nobody to be told.
+    #[inline]
     fn told(&mut self, what: Told) -> bool {
         match &mut self.measurements {
             Some(measurements) => measurements.enqueue(what).is_ok(),

@@ -306,3 +306,105 @@ fn a_scene_with_windings_runs_the_image_with_a_power_stage() {
     assert!(!arm.status.success());
     assert_eq!(emulated.interrupt(), Some(130));
 }
+
+/// A scene whose motor is calibrated.
+struct Calibrated {
+    scene: &'static str,
+    calibrate: &'static [&'static str],
+    truth: &'static [(&'static str, f64)],
+    pole_pairs: u32,
+}
+
+#[test]
+fn the_motors_of_the_scenes_are_calibrated_and_armed() {
+    let folder = TempDir::new().unwrap();
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    let image = scenes.join("../target/firmware/emulated_drive.elf");
+    for Calibrated {
+        scene,
+        calibrate,
+        truth,
+        pole_pairs,
+    } in [
+        Calibrated {
+            scene: "three-phase.toml",
+            calibrate: &["--drive", "current", "--current-max", "8"],
+            truth: &[
+                ("resistance_ohm", 1.2),
+                ("d_inductance_h", 4e-4),
+                ("q_inductance_h", 5e-4),
+                ("torque_constant_nm_a", 1.5 * 7.0 * 4e-3),
+                ("measured_constant_nm_a", 1.5 * 7.0 * 4e-3),
+            ],
+            pole_pairs: 7,
+        },
+        Calibrated {
+            scene: "re35-brushed.toml",
+            calibrate: &["--drive", "brushed", "--current-max", "4"],
+            truth: &[
+                ("resistance_ohm", 2.0),
+                ("d_inductance_h", 6e-4),
+                ("torque_constant_nm_a", 0.052),
+            ],
+            pole_pairs: 1,
+        },
+    ] {
+        let text = fs::read_to_string(scenes.join(scene)).unwrap();
+        let free = folder.path().join(scene);
+        // At rest and without a hand.
+        let motor = text.split("[start]").next().unwrap();
+        fs::write(&free, motor).unwrap();
+        let counts_per_rev = motor
+            .lines()
+            .find(|line| line.starts_with("counts_per_rev"))
+            .unwrap()
+            .replace(' ', "");
+        let record = free.with_extension("csv");
+        let emulated = Emulated::start(&[
+            "--scene",
+            free.to_str().unwrap(),
+            "--firmware",
+            image.to_str().unwrap(),
+            "--pace",
+            "free",
+            "--record",
+            record.to_str().unwrap(),
+        ]);
+        let port = ["--port", &emulated.port, "--json"];
+        let ask = |args: &[&str]| json(&[args, &port].concat());
+        ask(&["set", &counts_per_rev]);
+        let log = free.with_extension("log.csv");
+        let log = ["--out", log.to_str().unwrap(), "--force"];
+        let dry = ask(&[&["calibrate"], calibrate].concat());
+        assert!(dry["applied_at_tick"].is_null());
+        // It coasts to rest.
+        ask(&[&["log", "--seconds", "2"], &log[..]].concat());
+        assert!(!run(&[&["arm"], &port[..]].concat()).status.success());
+        let found = ask(&[&["calibrate"], calibrate, &["--apply"]].concat());
+        for (key, value) in truth {
+            let (low, high) = (&found[key]["low"], &found[key]["high"]);
+            let (low, high) = (low.as_f64().unwrap(), high.as_f64().unwrap());
+            assert!(
+                low <= *value && *value <= high && high - low < 0.2 * value,
+                "{scene}: {key} is {value}: {found}"
+            );
+        }
+        // The same after a whole turn: a scene's is 0.
+        let zero = |end: &str| found["zero_turns"][end].as_f64().unwrap();
+        let whole = zero("value").round();
+        assert!(
+            zero("low") <= whole && whole <= zero("high") && zero("high") - zero("low") < 0.02,
+            "{scene}: {found}"
+        );
+        assert_eq!(found["pole_pairs"], pole_pairs, "{scene}");
+        assert_eq!(found["reversed"], false, "{scene}");
+
+        // It is armed without a save, and holds a spring about where it stands.
+        ask(&["set", "law=ledger", "shape=spring", "stiffness_nm_rad=0.5"]);
+        ask(&["arm"]);
+        ask(&[&["log", "--seconds", "0.5"], &log[..]].concat());
+        assert_eq!(ask(&["info"])["state"], "armed", "{scene}");
+        ask(&["disarm"]);
+        assert_eq!(emulated.interrupt(), Some(130));
+    }
+}

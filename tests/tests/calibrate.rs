@@ -87,7 +87,9 @@ impl Bench for Board {
                 },
                 sensed.counter as i32,
             );
-            windows.extend(step.sums);
+            if step.window_over {
+                windows.push(*run.sums());
+            }
             self.period(step.bridge);
             if let Some(end) = step.end {
                 // Until the host asks for the next.

@@ -14,7 +14,7 @@ use plant_sim::lockstep::{Bench, Emulator, Order, Plant, SETTINGS_BYTES};
 use plant_sim::powered::Powered;
 use plant_sim::powered_lockstep::{DriveEmulator, PoweredBench, Surroundings};
 use plant_sim::preset::preset;
-use protocol::{Changes, Drive, Fields, Law, Request, Shape, Subscription};
+use protocol::{Changes, Drive, Excitation, Fields, Law, Motor, Request, Shape, Subscription};
 
 /// Instructions that a tick of a spring may take, by law; of a board with a power stage, the whole interrupt of a PWM period,
 /// without and with a haptic tick in it.
@@ -256,36 +256,67 @@ fn instructions(path: &Path, changes: Changes) -> usize {
     most
 }
 
-/// Most instructions of the interrupt of a PWM period, without and with a haptic tick under the ledger in it: all of it, from
-/// what was sensed to the duties.
-fn current_ticks(drive: Drive) -> [u64; 2] {
-    const EVERY: usize = 24;
-    let motor = example_motor(drive);
+/// PWM periods between two haptic ticks.
+const EVERY: usize = 24;
+
+/// A bench with a power stage and that motor, thrown at so many rad/s, which was asked all this.
+fn powered_bench(motor: &Motor, speed_rad_s: f64, requests: &[Request]) -> PoweredBench {
     let thrown = Motion {
         position: -0.01,
-        velocity: 3.0,
+        velocity: speed_rad_s,
     };
-    let setup = knob(&motor, 8192, preset("re35").unwrap().device, thrown);
+    let setup = knob(motor, 8192, preset("re35").unwrap().device, thrown);
     let mut bench = PoweredBench {
         emulator: DriveEmulator::start(&PoweredRig::image(), 0, &[], None).unwrap(),
         knob: Powered::new(&setup).unwrap(),
         around: Surroundings::default(),
     };
-    for request in [
-        Request::Set(spring(Law::Ledger)),
-        Request::SetMotor(all_of(&motor)),
-        Request::Arm,
-    ] {
-        bench.emulator.send(&request_frame(1, request)).unwrap();
+    for request in requests {
+        bench.emulator.send(&request_frame(1, *request)).unwrap();
         for _ in 0..EVERY {
             bench.period().unwrap();
         }
     }
-    let costs: Vec<u64> = (0..200 * EVERY)
-        .map(|_| u64::from(bench.period().unwrap().report.cost))
-        .collect();
-    assert!(bench.emulator.report().duties.is_some());
-    // One phase of the 24 has the haptic tick in it.
+    bench
+}
+
+/// Most instructions of the interrupt of a PWM period while a motor is measured, by a field that turns and ripples; without,
+/// and with the haptic tick and the end of a window in it.
+fn calibrating() -> [u64; 2] {
+    let motor = example_motor(Drive::Current);
+    let excitation = Excitation {
+        angle: 0,
+        turn: 1 << 20,
+        back: true,
+        steady_v: 0.5,
+        steady_a: [0.5, 0.1],
+        along_v: 0.3,
+        across_v: 0.3,
+        quarter: 2,
+        rise: 240,
+        // So that windows end where haptic ticks are.
+        settle: 241,
+        window: 48,
+        windows: 80,
+        zero_codes: [motor.offset_b_codes, motor.offset_c_codes],
+        current_max_a: 8.0,
+        way_max: 1000,
+    };
+    let mut bench = powered_bench(&motor, 0.0, &[Request::Calibrate(excitation)]);
+    let (mut costs, mut on) = (Vec::new(), 0);
+    for _ in 0..200 * EVERY {
+        let report = bench.period().unwrap().report;
+        costs.push(u64::from(report.cost));
+        on += u32::from(report.duties.is_some());
+    }
+    // Rise, settling, windows, fall: all of it went by, and it ended.
+    assert!((4500..=4560).contains(&on), "{on} periods of voltage");
+    assert!(bench.emulator.report().duties.is_none());
+    by_phase(&costs)
+}
+
+/// The most of two of the 24 phases: the one with the haptic tick in it is the dearest; and the next.
+fn by_phase(costs: &[u64]) -> [u64; 2] {
     let most = |phase: usize| {
         let of_phase = costs.iter().skip(phase).step_by(EVERY);
         of_phase.copied().max().unwrap_or(0)
@@ -297,6 +328,23 @@ fn current_ticks(drive: Drive) -> [u64; 2] {
     };
     assert!(haptic > current + 200, "{phases:?}");
     [current, haptic]
+}
+
+/// Most instructions of the interrupt of a PWM period, without and with a haptic tick under the ledger in it: all of it, from
+/// what was sensed to the duties.
+fn current_ticks(drive: Drive) -> [u64; 2] {
+    let motor = example_motor(drive);
+    let requests = [
+        Request::Set(spring(Law::Ledger)),
+        Request::SetMotor(all_of(&motor)),
+        Request::Arm,
+    ];
+    let mut bench = powered_bench(&motor, 3.0, &requests);
+    let costs: Vec<u64> = (0..200 * EVERY)
+        .map(|_| u64::from(bench.period().unwrap().report.cost))
+        .collect();
+    assert!(bench.emulator.report().duties.is_some());
+    by_phase(&costs)
 }
 
 fn measure() -> BTreeMap<&'static str, u64> {
@@ -353,6 +401,11 @@ fn measure() -> BTreeMap<&'static str, u64> {
     ] {
         figures.extend(names.into_iter().zip(current_ticks(drive)));
     }
+    let names = [
+        "current_tick_calibrating_instructions",
+        "current_tick_calibrating_haptic_instructions",
+    ];
+    figures.extend(names.into_iter().zip(calibrating()));
     let drive_image = Image::load(&PoweredRig::image());
     figures.insert("drive_flash_bytes", drive_image.flash);
     figures.insert("drive_ram_bytes", drive_image.ram);

@@ -100,6 +100,7 @@ impl Chip {
             q_inductance_h: Some(5e-4),
             torque_constant_nm_a: Some(0.05),
             current_max_a: Some(4.0),
+            zero_turns: Some(0.0),
             ..MotorChanges::default()
         };
         let spring = Changes {

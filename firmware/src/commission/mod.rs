@@ -41,8 +41,8 @@ const THIRD_ROOT: f64 = 0.577_350_269_189_625_8;
 pub struct Step {
     /// For the next period.
     pub bridge: Bridge,
-    /// For the host, where a window is over.
-    pub sums: Option<Sums>,
+    /// A window is over: [`Run::sums`] are for the host.
+    pub window_over: bool,
     /// It is over, and how. The bridge is off.
     pub end: Option<ExcitationEnd>,
 }
@@ -82,9 +82,10 @@ pub struct Run {
     per_settle: f32,
     // Where it is.
     part: Part,
-    /// Periods of this part, of the window, and of the quarter of the ripple that are over.
+    /// Periods of this part, of the window, and of the quarter of the ripple that are over; the window's number.
     done: u32,
     in_window: u16,
+    window: u16,
     in_quarter: u16,
     quarter: u8,
     angle: u32,
@@ -164,6 +165,7 @@ impl Run {
             part: Part::Rise,
             done: 0,
             in_window: 0,
+            window: 0,
             in_quarter: 0,
             quarter: 0,
             angle: asked.angle,
@@ -176,31 +178,28 @@ impl Run {
     }
 
     /// One PWM period.
+    #[inline]
     pub fn tick(&mut self, sensed: &Sensed, count: i32) -> Step {
         if let Some(end) = self.danger(sensed, count) {
             self.part = Part::Over;
             return Step {
                 bridge: Bridge::Off,
-                sums: None,
+                window_over: false,
                 end: Some(end),
             };
         }
-        let sums = if self.part == Part::Measure {
-            self.sum(sensed, count)
-        } else {
-            None
-        };
+        let window_over = self.part == Part::Measure && self.sum(sensed, count);
         self.go_on();
         if self.part == Part::Over {
             return Step {
                 bridge: Bridge::Off,
-                sums,
+                window_over,
                 end: Some(ExcitationEnd::Done),
             };
         }
         Step {
             bridge: self.bridge(sensed.bus_v),
-            sums,
+            window_over,
             end: None,
         }
     }
@@ -230,8 +229,22 @@ impl Run {
         None
     }
 
-    /// Adds what was sensed; the sums, where this was the last period of a window.
-    fn sum(&mut self, sensed: &Sensed, count: i32) -> Option<Sums> {
+    /// Of the window that is over, until the next period.
+    #[must_use]
+    #[inline]
+    pub fn sums(&self) -> &Sums {
+        &self.sums
+    }
+
+    /// Adds what was sensed. True if this was the last period of a window.
+    #[inline]
+    fn sum(&mut self, sensed: &Sensed, count: i32) -> bool {
+        if self.in_window == 0 {
+            self.sums = Sums {
+                window: self.window,
+                ..NO_SUMS
+            };
+        }
         let quarter = if self.asked.quarter == 0 {
             self.angle >> 30
         } else {
@@ -239,33 +252,22 @@ impl Run {
         };
         let sums = &mut self.sums;
         let [b, c] = sensed.currents.map(u32::from);
-        // A quarter is from 0 to 3.
-        if let (Some(periods), Some(b_codes), Some(c_codes)) = (
-            sums.periods.get_mut(quarter as usize),
-            sums.b_codes.get_mut(quarter as usize),
-            sums.c_codes.get_mut(quarter as usize),
-        ) {
-            *periods = periods.wrapping_add(1);
-            *b_codes = b_codes.wrapping_add(b);
-            *c_codes = c_codes.wrapping_add(c);
-        }
+        // One of four, whatever it reads.
+        let quarter = quarter as usize & 3;
+        sums.periods[quarter] = sums.periods[quarter].wrapping_add(1);
+        sums.b_codes[quarter] = sums.b_codes[quarter].wrapping_add(b);
+        sums.c_codes[quarter] = sums.c_codes[quarter].wrapping_add(c);
         sums.counts = sums.counts.wrapping_add(i64::from(count));
         sums.bus_mv = sums.bus_mv.wrapping_add((sensed.bus_v * 1e3) as u32);
         self.in_window = self.in_window.wrapping_add(1);
         if self.in_window < self.asked.window {
-            return None;
+            return false;
         }
         self.in_window = 0;
-        let over = Sums {
-            count,
-            angle: self.angle,
-            ..self.sums
-        };
-        self.sums = Sums {
-            window: over.window.wrapping_add(1),
-            ..NO_SUMS
-        };
-        Some(over)
+        self.window = self.window.wrapping_add(1);
+        self.sums.count = count;
+        self.sums.angle = self.angle;
+        true
     }
 
     /// From one period to the next.
