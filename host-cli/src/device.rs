@@ -10,8 +10,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Result;
 use protocol::{
-    FRAME_MAX, Parameters, PowerStage, Refusal, Request, Snapshot, State, Status, Subscription,
-    ToDevice, VERSION, encode,
+    FRAME_MAX, Motor, Parameters, PowerStage, Refusal, Request, Snapshot, State, Status,
+    Subscription, ToDevice, VERSION, encode,
 };
 
 pub use error::DeviceError;
@@ -108,6 +108,14 @@ impl Device {
         match self.request(Request::Status)?.answer {
             Answer::Status(status) => Ok(status),
             _ => Err(self.unexpected(Request::Status)),
+        }
+    }
+
+    /// The motor at its bridge.
+    pub fn motor(&mut self) -> Result<Motor> {
+        match self.request(Request::Motor)?.answer {
+            Answer::Motor(motor) => Ok(motor),
+            _ => Err(self.unexpected(Request::Motor)),
         }
     }
 

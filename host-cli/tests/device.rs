@@ -966,6 +966,7 @@ fn every_command_has_help_with_an_example() {
 #[test]
 fn calibrate_finds_the_motor_and_sets_it() {
     let port = board_with_motor(Wiring::default());
+    assert!(ask(&port, &["info"])["motor"].is_null());
     let args = [
         "calibrate",
         "--drive",
@@ -995,6 +996,13 @@ fn calibrate_finds_the_motor_and_sets_it() {
     assert_eq!(found["pole_pairs"], 7);
     assert_eq!(found["reversed"], true);
     assert!(found["applied_at_tick"].is_u64());
+    let motor = &ask(&port, &["info"])["motor"];
+    assert_eq!(motor["drive"], "current");
+    for key in ["resistance_ohm", "q_inductance_h", "torque_constant_nm_a"] {
+        let (told, value) = (motor[key].as_f64(), found[key]["value"].as_f64());
+        let ratio = told.unwrap() / value.unwrap();
+        assert!((ratio - 1.0).abs() < 1e-6, "{key}: {ratio}");
+    }
     // With a motor it arms.
     assert_eq!(ask(&port, &["arm"])["state"], "armed");
     refused(&port, &args, 1, &["armed"]);

@@ -1,7 +1,7 @@
 //! `knob info`: who a device is, and how.
 
 use anyhow::Result;
-use protocol::{Snapshot, State};
+use protocol::{Drive, Motor, Snapshot, State};
 use serde::Serialize;
 
 use crate::output::say_line;
@@ -9,8 +9,8 @@ use crate::parameters::short;
 use crate::ports::Connection;
 use crate::words;
 
-/// Show who the device is and how: firmware, board, state why it is in fault if it is, what became of the
-/// saved settings, why it started, and how things stood at its last fault.
+/// Show who the device is and how: firmware, board, state and why it is in fault if it is, its motor where it drives
+/// one, what became of the saved settings, why it started, and how things stood at its last fault.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  knob info --port /dev/ttyACM0")]
 pub struct Args {
@@ -35,8 +35,47 @@ struct Json<'a> {
     settings_text: String,
     reset: &'a str,
     reset_text: &'a str,
+    /// Null where none is set.
+    motor: Option<MotorJson>,
     /// How things stood at the last fault since the start.
     last_fault: Option<SnapshotJson>,
+}
+
+#[derive(Serialize)]
+struct MotorJson {
+    drive: &'static str,
+    pole_pairs: u32,
+    resistance_ohm: f32,
+    d_inductance_h: f32,
+    q_inductance_h: f32,
+    torque_constant_nm_a: f32,
+    current_max_a: f32,
+    reversed: bool,
+    zero_turns: f32,
+    offset_codes: [f32; 2],
+}
+
+impl MotorJson {
+    fn of(motor: &Motor) -> Option<Self> {
+        let drive = match motor.drive {
+            Drive::None => return None,
+            Drive::Current => "current",
+            Drive::Voltage => "voltage",
+            Drive::Brushed => "brushed",
+        };
+        Some(Self {
+            drive,
+            pole_pairs: motor.pole_pairs,
+            resistance_ohm: motor.resistance_ohm,
+            d_inductance_h: motor.d_inductance_h,
+            q_inductance_h: motor.q_inductance_h,
+            torque_constant_nm_a: motor.torque_constant_nm_a,
+            current_max_a: motor.current_max_a,
+            reversed: motor.reversed,
+            zero_turns: motor.zero_turns,
+            offset_codes: [motor.offset_b_codes, motor.offset_c_codes],
+        })
+    }
 }
 
 #[derive(Serialize)]
@@ -76,6 +115,7 @@ pub fn run(args: &Args) -> Result<()> {
     let (mut device, identity) = args.connection.connect()?;
     let status = device.status()?;
     let last_fault = device.last_fault()?;
+    let motor = MotorJson::of(&device.motor()?);
     let fault = match status.state {
         State::Fault(fault) => Some(fault),
         State::Disarmed | State::Armed | State::Calibrating | State::Pushing => None,
@@ -97,6 +137,7 @@ pub fn run(args: &Args) -> Result<()> {
             settings_text: words::stored(status.stored),
             reset: words::reset_code(status.reset),
             reset_text: words::reset(status.reset),
+            motor,
             last_fault: last_fault.map(SnapshotJson::from),
         };
         say_line!("{}", serde_json::to_string(&json)?);
@@ -111,6 +152,19 @@ pub fn run(args: &Args) -> Result<()> {
         identity.version
     );
     say_line!("state        {}", words::state_in_full(status.state));
+    if let Some(it) = motor {
+        say_line!(
+            "motor        {}, {} pole pairs, {} Ω, {} and {} H, {} Nm/A, at most {} A{}",
+            it.drive,
+            it.pole_pairs,
+            short(it.resistance_ohm),
+            short(it.d_inductance_h),
+            short(it.q_inductance_h),
+            short(it.torque_constant_nm_a),
+            short(it.current_max_a),
+            if it.reversed { ", reversed" } else { "" }
+        );
+    }
     say_line!("settings     {}", words::stored(status.stored));
     say_line!("started by   {}", words::reset(status.reset));
     match last_fault {
