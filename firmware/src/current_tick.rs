@@ -154,7 +154,12 @@ impl<'a> CurrentTick<'a> {
         let Some(drive) = &mut self.power.drive else {
             return Bridge::Off;
         };
-        let on = matches!(self.ticker.state(), StateCode::Armed | StateCode::Pushing);
+        let on = match self.ticker.state() {
+            StateCode::Armed => true,
+            // It coasts with the bridge off: a loop that holds 0 errs by up to half a step of the converter.
+            StateCode::Pushing => self.torque_nm != 0.0,
+            _ => false,
+        };
         if !on || self.fault.is_some() {
             drive.clear();
             return Bridge::Off;

@@ -583,5 +583,21 @@ fn each_drive_is_off_but_while_armed() {
         }
         bench.must(Request::Disarm);
         assert!((0..100).all(|_| !on(&mut bench)));
+        // A push coasts with it off, for 50 ticks of 24 periods here: the knob is stuck.
+        bench.must(Request::Push(Push {
+            from_nm: 1e-3,
+            to_nm: 1e-3,
+            rise_ticks: 0,
+            most_ticks: 10,
+            way_counts: 1000,
+            speed_counts: 1000,
+            rest_ticks: 50,
+            coast_ticks: 50,
+            guard_counts: 1000,
+        }));
+        assert!((0..8 * 24).all(|_| on(&mut bench)));
+        assert!((0..2 * 24).any(|_| !on(&mut bench)));
+        assert!((0..60 * 24).all(|_| !on(&mut bench)));
+        bench.must(Request::Arm);
     }
 }

@@ -453,7 +453,7 @@ impl Rig {
     pub fn push(&self) -> Push {
         let ticks = (0.9 * 24e3 / f64::from(self.every)) as u32;
         Push {
-            from_nm: 0.0,
+            from_nm: 1e-4,
             to_nm: 5e-4,
             rise_ticks: 10,
             most_ticks: ticks,
