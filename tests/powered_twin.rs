@@ -75,8 +75,7 @@ impl<K: Keep> PoweredTwin<K> {
         Self {
             upkeep: Upkeep::new(link),
             slow_in: PERIODS,
-            current: CurrentTick::new(ticker, power, COUNTER_BITS, counter)
-                .telling(measurement_sender),
+            current: CurrentTick::new(ticker, power, COUNTER_BITS, counter, measurement_sender),
             desk: Desk::new(
                 identity,
                 &start,

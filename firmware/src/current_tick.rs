@@ -46,14 +46,20 @@ pub struct CurrentTick<'a> {
     run: Option<Run>,
     /// How that ended, until the desk has been told.
     ended: Option<ExcitationEnd>,
-    measurements: Option<MeasurementSender<'a>>,
+    measurements: MeasurementSender<'a>,
 }
 
 impl<'a> CurrentTick<'a> {
     /// The bridge off, for an encoder whose counter of `counter_bits` bits (2 to 32) reads `counter` now; the ticker was
-    /// made with its [`widened`] count.
+    /// made with its [`widened`] count. What excitations bring goes to `measurements`.
     #[must_use]
-    pub fn new(ticker: Ticker<'a>, power: Power, counter_bits: u32, counter: u32) -> Self {
+    pub fn new(
+        ticker: Ticker<'a>,
+        power: Power,
+        counter_bits: u32,
+        counter: u32,
+        measurements: MeasurementSender<'a>,
+    ) -> Self {
         Self {
             ticker,
             due_in: power.every,
@@ -65,16 +71,7 @@ impl<'a> CurrentTick<'a> {
             guard: Guard::new(),
             run: None,
             ended: None,
-            measurements: None,
-        }
-    }
-
-    /// The same, able to tell what excitations bring.
-    #[must_use]
-    pub fn telling(self, measurements: MeasurementSender<'a>) -> Self {
-        Self {
-            measurements: Some(measurements),
-            ..self
+            measurements,
         }
     }
 
@@ -185,7 +182,7 @@ impl CurrentTick<'_> {
     #[inline(never)]
     fn excite(&mut self, sensed: &Sensed, count: i32) -> Bridge {
         if let Some(end) = self.ended {
-            if self.told(Told::End(end)) {
+            if self.measurements.enqueue(Told::End(end)).is_ok() {
                 self.ended = None;
             }
             return Bridge::Off;
@@ -203,11 +200,9 @@ impl CurrentTick<'_> {
             return Bridge::Off;
         }
         let step = run.tick(sensed, count);
-        if step.window_over
-            && let Some(measurements) = &mut self.measurements
-        {
+        if step.window_over {
             // Where there is no room the host finds a window missing.
-            let _ = measurements.enqueue(Told::Sums(*run.sums()));
+            let _ = self.measurements.enqueue(Told::Sums(*run.sums()));
         }
         if step.end.is_some() {
             self.run = None;
@@ -215,15 +210,6 @@ impl CurrentTick<'_> {
             self.ticker.excited();
         }
         step.bridge
-    }
-
-    /// Whether there was room to tell it, or nobody to be told.
-    #[inline]
-    fn told(&mut self, what: Told) -> bool {
-        match &mut self.measurements {
-            Some(measurements) => measurements.enqueue(what).is_ok(),
-            None => true,
-        }
     }
 }
 

@@ -84,8 +84,13 @@ mod app {
             record_sender,
             move_sender,
         );
-        let current = CurrentTick::new(ticker, power, Stage::COUNTER_BITS, counter)
-            .telling(measurement_sender);
+        let current = CurrentTick::new(
+            ticker,
+            power,
+            Stage::COUNTER_BITS,
+            counter,
+            measurement_sender,
+        );
         let desk = Desk::new(
             identity,
             &start,

@@ -100,8 +100,7 @@ pub fn board_with_motor(wiring: Wiring) -> Port {
         move_sender,
     );
     let power = start.settled.power.unwrap();
-    let mut current =
-        CurrentTick::new(ticker, power, COUNTER_BITS, counter).telling(measurement_sender);
+    let mut current = CurrentTick::new(ticker, power, COUNTER_BITS, counter, measurement_sender);
     let mut desk = Desk::new(
         identity,
         &start,

@@ -351,7 +351,7 @@ impl Rig {
         };
         let told = start.settings.motor.with(&motor);
         let mut rig = Self {
-            current: CurrentTick::new(ticker, power, 32, counter).telling(told_sender),
+            current: CurrentTick::new(ticker, power, 32, counter, told_sender),
             desk: Desk::new(
                 identity,
                 &start,
